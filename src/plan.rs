@@ -15,7 +15,7 @@ use crate::log::schema::{Channel, Scenery};
 use crate::method::Integrator;
 use crate::scenario::{
     Adaptive, Coefficients, DrivenTerm, Ensemble, Path, PotentialTerm, Scenario, ScenarioError,
-    Solver, TableauChoice, Through,
+    Solver, TableauChoice, Through, Torque,
 };
 use crate::solve::composition::Composition;
 use crate::solve::failure::two_digits;
@@ -365,7 +365,7 @@ impl Plan {
             shown: Vec::new(),
             constant: 0.0,
             driven: scenario.scene.driven.clone(),
-            torques: scenario.scene.torques.clone(),
+            torques: scenario.scene.torques_on_orbits(),
             wheels: scenario.scene.wheels.as_deref().map(skew),
             control,
             attitude,
@@ -535,13 +535,13 @@ impl Plan {
     pub(crate) fn warn_of_fast_changes(&mut self) {
         /// Phase in rad that passes in a step, for each stage: more is not resolved, and half of it well.
         const MOST_RAD: f64 = 1.0;
-        let Some((index, rate_rad_s)) = self.model.fastest_change() else { return };
+        let Some((pointer, rate_rad_s)) = self.model.fastest_change() else { return };
         let stages = self.formulation.stages as f64;
         let passed_rad = rate_rad_s * self.step_s;
         if passed_rad > MOST_RAD * stages {
             let resolved_s = two_digits(0.5 * MOST_RAD * stages / rate_rad_s);
             self.warnings.push(format!(
-                "/scene/driven/{index} changes by {passed_rad:.1} rad of its period in a step of {} s, which {stages} stages \
+                "{pointer} changes by {passed_rad:.1} rad of its period in a step of {} s, which {stages} stages \
                  do not resolve; steps of {resolved_s:e} s do",
                 self.step_s
             ));
@@ -681,9 +681,14 @@ impl Plan {
             let why = "changes with time".to_owned();
             self.potential.push(TermPlan { pointer, kept: true, why });
         }
-        for index in 0..self.model.torques.len() {
+        for (index, torque) in self.model.torques.iter().enumerate() {
             let pointer = format!("/scene/torques/{index}");
-            let why = "a torque that does not come from a potential".to_owned();
+            let why = match torque {
+                Torque::Drag(_) => "a torque of the air along an orbit",
+                Torque::SolarPressure(_) => "a torque of sunlight",
+                _ => "a torque that does not come from a potential",
+            };
+            let why = why.to_owned();
             self.potential.push(TermPlan { pointer, kept: true, why });
         }
         for (pointer, kept, why) in self.model.control.parts() {

@@ -17,6 +17,8 @@ mod control;
 mod derivatives;
 mod driven;
 mod ensemble;
+mod faces;
+mod orbit;
 mod parse;
 mod range;
 mod steps;
@@ -32,8 +34,8 @@ pub(crate) use check::dividing;
 #[cfg(feature = "serve")]
 pub(crate) use check::twelve_digits;
 pub use control::{
-    AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, FieldOrbit, Law,
-    Magnetorquers, Noise, OrbitTarget, Pointing, Stop, Target, Through, TurningTarget, Wheels,
+    AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, Law, Magnetorquers,
+    Noise, OrbitTarget, Pointing, Stop, Target, Through, TurningTarget, WheelFriction, Wheels,
 };
 pub use derivatives::Derivatives;
 pub use driven::{
@@ -41,6 +43,8 @@ pub use driven::{
     TorqueTable, Turning, Viscous,
 };
 pub use ensemble::Ensemble;
+pub use faces::{Drag, DragFace, LitFace, SolarPressure};
+pub use orbit::{FieldOrbit, Oblateness};
 pub(crate) use parse::{from_tree, read_text, tree as read_tree, without_mark};
 pub(crate) use range::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
 pub use steps::{Adaptive, Steps};
@@ -190,16 +194,21 @@ impl Scene {
             && self.field.is_none()
     }
 
+    /// Returns its torques, of which each that flies along an orbit has one: that of the field if it was left out.
+    pub(crate) fn torques_on_orbits(&self) -> Vec<Torque> {
+        let mut torques = self.torques.clone();
+        for torque in &mut torques {
+            if let (Torque::Drag(drag), Some(Field::Dipole(dipole))) = (torque, &self.field) {
+                drag.orbit.get_or_insert_with(|| dipole.orbit.clone());
+            }
+        }
+        torques
+    }
+
     /// Returns the time in seconds at which the first of its tables ends, if it has any.
     pub(crate) fn known_until_s(&self) -> Option<f64> {
-        let factors = self.driven.iter().filter_map(|term| match &term.factor {
-            Some(Factor::Table(table)) => Some(table),
-            _ => None,
-        });
-        let torques = self.torques.iter().filter_map(|torque| match torque {
-            Torque::Table(torque) => Some(&torque.table),
-            _ => None,
-        });
+        let factors = self.driven.iter().filter_map(|term| term.factor.as_ref()?.table());
+        let torques = self.torques.iter().filter_map(Torque::table);
         factors.chain(torques).filter_map(|table| table.times_s.last().copied()).reduce(f64::min)
     }
 
@@ -826,6 +835,7 @@ pub const SHIPPED: &[(&str, &str)] = &[
     ("binary-asteroid", include_str!("../scenarios/binary-asteroid.json")),
     ("chain", include_str!("../scenarios/chain.json")),
     ("compass-needles", include_str!("../scenarios/compass-needles.json")),
+    ("cubesat", include_str!("../scenarios/cubesat.json")),
     ("detumble", include_str!("../scenarios/detumble.json")),
     ("dipole", include_str!("../scenarios/dipole.json")),
     ("dual-spin", include_str!("../scenarios/dual-spin.json")),
@@ -833,6 +843,7 @@ pub const SHIPPED: &[(&str, &str)] = &[
     ("free-body", include_str!("../scenarios/free-body.json")),
     ("gyroscope-on-a-string", include_str!("../scenarios/gyroscope-on-a-string.json")),
     ("heavy-top", include_str!("../scenarios/heavy-top.json")),
+    ("nutation-damper", include_str!("../scenarios/nutation-damper.json")),
     ("orbit-and-attitude", include_str!("../scenarios/orbit-and-attitude.json")),
     ("pendulum", include_str!("../scenarios/pendulum.json")),
     ("satellite", include_str!("../scenarios/satellite.json")),

@@ -280,6 +280,7 @@ fn satellites() -> [(&'static str, RigidBody<3>); 6] {
         mean_motion: motion,
         eccentricity,
         mean_anomaly: 0.3,
+        node_rate: 0.0,
     };
     let on = |path| DrivenTerm { term: term.clone(), path, factor: Factor::Constant };
     let table = Table::new(vec![0.0, 1e6], vec![[1e-3], [2e-3]], Interpolation::Linear);

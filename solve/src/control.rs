@@ -42,6 +42,12 @@ pub enum ControlLaw {
         /// In A m^2 s / T.
         gain: f64,
     },
+    /// `-coefficient w` on each wheel, w its speed relative to the body; for wheels with moments of inertia. It is internal: no
+    /// limit of a motor cuts it, and it is not of the torque wanted.
+    WheelFriction {
+        /// In N m s.
+        coefficient: f64,
+    },
 }
 
 /// What a controller knows: enough to go on from a checkpoint.

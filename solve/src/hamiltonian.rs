@@ -32,7 +32,9 @@ pub use control::{Actuator, Control, ReactionWheels, magnetic_term};
 pub(crate) use drive::{Drive, DriveInFrame};
 use driven::Driven;
 pub(crate) use driven::{BodyAtTime, WorkAndImpulse};
-pub use driven::{DipoleField, DrivenTerm, Factor, Interpolation, Path, Table, Torque};
+pub use driven::{
+    DipoleField, DrivenTerm, Face, Faces, Factor, Interpolation, Path, Stream, Table, Torque,
+};
 use potential::UserPotentials;
 pub use potential::{Potential, gradient_error};
 pub use rate::BodyRate;

@@ -18,7 +18,7 @@ pub mod ensemble;
 pub mod failure;
 pub mod free_top;
 pub mod hamiltonian;
-mod kepler;
+pub mod kepler;
 pub mod lagrangian;
 pub mod lanes;
 pub mod noise;

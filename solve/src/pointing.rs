@@ -3,7 +3,7 @@
 //! Invariant: nothing of it changes a motion; it is computed at samples alone, and only for those who ask.
 
 use super::control::Target;
-use super::kepler::eccentric_anomaly;
+use super::kepler::{about_z, eccentric_anomaly, z_axis};
 use super::so::{self, Mat, Vector};
 use super::time::Time;
 
@@ -33,6 +33,8 @@ pub enum Frame<const N: usize> {
         eccentricity: f64,
         /// Mean anomaly at t = 0, in rad.
         mean_anomaly: f64,
+        /// Rate at which the plane turns about z, in rad/s.
+        node_rate: f64,
     },
 }
 
@@ -64,7 +66,13 @@ impl<const N: usize> Frame<N> {
     fn at(&self, time_s: f64) -> (Mat<N>, Mat<N>) {
         match self {
             Self::Target(target) => (target.attitude(time_s), target.rate()),
-            Self::Orbit { plane: [p, q], mean_motion, eccentricity: e, mean_anomaly } => {
+            Self::Orbit {
+                plane: [p, q],
+                mean_motion,
+                eccentricity: e,
+                mean_anomaly,
+                node_rate,
+            } => {
                 let anomaly = Time::of(time_s).angle(*mean_motion, *mean_anomaly);
                 let (sin, cos) = eccentric_anomaly(anomaly, *e);
                 // r / a, and the direction by the true anomaly.
@@ -76,7 +84,14 @@ impl<const N: usize> Frame<N> {
                 let turning = mean_motion * root / (r * r);
                 let y = so::to_space(&so::hat(z.as_slice()), &x);
                 let axes = [&x, &y, &z];
-                (Mat::from_fn(|i, j| axes[j][i]), so::wedge(q, p) * turning)
+                let axes = Mat::from_fn(|i, j| axes[j][i]);
+                let rate = so::wedge(q, p) * turning;
+                if *node_rate == 0.0 {
+                    return (axes, rate);
+                }
+                let turn = about_z(Time::of(time_s).angle(*node_rate, 0.0));
+                let drift = z_axis::<N>() * *node_rate;
+                (so::product(&turn, &axes), so::conjugate(&turn, &rate) + drift)
             }
         }
     }

@@ -4,11 +4,12 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::rotation::{across, attitude, skew, unit_vector};
 use crate::scenario::{
-    Control, Dipole, Field, Framed, Initial, Law, Orbit, OrbitTarget, Path, Pointing, Scenario,
-    ScenarioError, Target, Through, TurningTarget, Wheels, vector,
+    Control, Dipole, Field, FieldOrbit, Framed, Initial, Law, Oblateness, Orbit, OrbitTarget, Path,
+    Pointing, Scenario, ScenarioError, Target, Through, TurningTarget, Wheels, vector,
 };
 use crate::solve::control::{self, ControlLaw};
 use crate::solve::hamiltonian::{self as body, Actuator, DipoleField, ReactionWheels, RigidBody};
+use crate::solve::kepler;
 use crate::solve::noise::Noise;
 use crate::solve::pointing::{self, Frame};
 use crate::solve::so::Mat;
@@ -379,7 +380,7 @@ fn noise(control: &Control) -> Option<Noise> {
         match law {
             Law::Attitude(_) => (attitude, rate) = (given.attitude_rad, given.rate_rad_s),
             Law::Damping(_) => rate = given.rate_rad_s,
-            Law::BDot(_) => {}
+            Law::BDot(_) | Law::WheelFriction(_) => {}
         }
     }
     let torque = given.torque_n_m;
@@ -397,11 +398,21 @@ fn law(given: &Law) -> ControlLaw {
         },
         Law::Damping(law) => ControlLaw::Damping { rate_gain: law.rate_gain_n_m_s },
         Law::BDot(law) => ControlLaw::BDot { gain: law.gain_a_m2_s_per_t },
+        Law::WheelFriction(law) => ControlLaw::WheelFriction { coefficient: law.coefficient_n_m_s },
     }
 }
 
 fn field(dipole: &Dipole) -> DipoleField {
-    let orbit = &dipole.orbit;
+    DipoleField {
+        moment_t_m3: dipole.moment_t_m3,
+        tilt_rad: dipole.tilt_rad,
+        rotation_rad_s: dipole.rotation_rad_s,
+        orbit: kepler_orbit(&dipole.orbit),
+    }
+}
+
+/// Returns an orbit with its plane, and with the rate of its node.
+pub(super) fn kepler_orbit(orbit: &FieldOrbit) -> kepler::Orbit {
     let plane = match (&orbit.from, &orbit.towards) {
         (Some(from), Some(towards)) => {
             let from = unit_vector(from);
@@ -427,16 +438,40 @@ fn field(dipole: &Dipole) -> DipoleField {
             ]
         }
     };
-    DipoleField {
-        moment_t_m3: dipole.moment_t_m3,
-        tilt_rad: dipole.tilt_rad,
-        rotation_rad_s: dipole.rotation_rad_s,
+    let axes = (orbit.semi_major_axis_m, orbit.eccentricity);
+    let node_rate = |given| node_rate_rad_s(given, &plane, orbit.mean_motion_rad_s, axes);
+    kepler::Orbit {
         plane,
         semi_major_axis_m: orbit.semi_major_axis_m,
         mean_motion_rad_s: orbit.mean_motion_rad_s,
         eccentricity: orbit.eccentricity,
         mean_anomaly_rad: orbit.mean_anomaly_rad,
+        node_rate_rad_s: orbit.j2.as_ref().map_or(0.0, node_rate),
     }
+}
+
+/// Returns the secular rate of the node of an orbit, whose pericentre and the direction across it are `plane`, by the oblateness of the
+/// central body: `-3/2 n J2 (R / p)^2 cos i`, p = a (1 - e^2), to the first order in J2 (Kozai 1959, The Astronomical Journal 64, 367).
+fn node_rate_rad_s(
+    given: &Oblateness,
+    [p, q]: &[[f64; 3]; 2],
+    mean_motion_rad_s: f64,
+    (semi_major_axis_m, eccentricity): (f64, f64),
+) -> f64 {
+    let cos_i = p[0] * q[1] - p[1] * q[0];
+    let latus_rectum_m = semi_major_axis_m * (1.0 - eccentricity * eccentricity);
+    let ratio = given.equatorial_radius_m / latus_rectum_m;
+    -1.5 * mean_motion_rad_s * given.j2 * ratio * ratio * cos_i
+}
+
+/// Returns the rate of the node of the orbit of a path, by its directions to the pericentre and across it; 0 without oblateness.
+pub(super) fn node_rate_on_path(orbit: &Orbit, pericentre: &[f64], across: &[f64]) -> f64 {
+    let plane = [pericentre, across].map(|v| std::array::from_fn(|i| v.get(i).map_or(0.0, |&x| x)));
+    orbit.j2.as_ref().map_or(0.0, |given| {
+        // The check asked for the semi-major axis.
+        let axes = (given.semi_major_axis_m.unwrap_or(f64::INFINITY), orbit.eccentricity);
+        node_rate_rad_s(given, &plane, orbit.mean_motion_rad_s, axes)
+    })
 }
 
 impl ModelPointing {
@@ -475,6 +510,7 @@ impl ModelPointing {
                 mean_motion: orbit.mean_motion_rad_s,
                 eccentricity: orbit.eccentricity,
                 mean_anomaly: orbit.mean_anomaly_rad,
+                node_rate: node_rate_on_path(orbit, from.as_slice(), towards.as_slice()),
             },
         };
         pointing::Pointing { frame, axis: vector(&self.axis), towards: vector(&self.towards) }

@@ -282,12 +282,15 @@ impl Plan {
         /// In lanes (`cargo bench -p vpd-solve --bench ratios -- driven`).
         const GRADIENT_IN_LANES_NS: f64 = 14.0;
         let disturbed = usize::from(self.model.control.is_disturbed());
-        let parts = self.model.driven.len() + self.model.torques.len() + disturbed;
+        // Not measured: taken to cost what a term does, which is more.
+        let faces = self.model.faces();
+        let parts = self.model.driven.len() + self.model.torques.len() + disturbed + faces;
         if parts == 0 && self.model.wheels.is_none() {
             return [0.0; 2];
         }
         if self.is_in_lanes() {
-            return [GRADIENT_IN_LANES_NS, PART_NS * (0.5 + parts as f64)];
+            let gradient = GRADIENT_IN_LANES_NS * (1.0 + faces as f64);
+            return [gradient, PART_NS * (0.5 + parts as f64)];
         }
         let n = self.dimension as f64;
         let look = STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n;

@@ -98,6 +98,10 @@ impl Model {
                 Some(Path::Turning(turning)) => {
                     vec![own, turning.from.clone(), turning.towards.clone()]
                 }
+                // Its plane turns about z, too.
+                Some(Path::Orbit(orbit)) if orbit.j2.is_some() => {
+                    vec![own, orbit.towards.clone(), vec![1.0, 0.0, 0.0], vec![0.0, 1.0, 0.0]]
+                }
                 Some(Path::Orbit(orbit)) => vec![own, orbit.towards.clone()],
             }
         };

@@ -2,12 +2,13 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::control::{kepler_orbit, node_rate_on_path};
 use super::model::with_matrix;
 use super::rotation::{across, skew, unit_vector};
 use super::{Model, ModelKinetic};
 use crate::scenario::{
-    DrivenTerm, Entry, Factor, Framed, Interpolation, Path, PotentialTerm, Table, Torque,
-    TorqueTable, vector,
+    Drag, DragFace, DrivenTerm, Entry, Factor, Framed, Interpolation, LitFace, Path, PotentialTerm,
+    SolarPressure, Table, Torque, TorqueTable, vector,
 };
 use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
 use crate::solve::so::{self, Mat};
@@ -68,6 +69,8 @@ impl Model {
                 body::Torque::Viscous(Mat::from_fn(|i, j| if i == j { 0.0 } else { rows[i][j] }))
             }
             Torque::OfMomentum(of) => body::Torque::OfMomentum(of.rate_per_s),
+            Torque::Drag(drag) => body::Torque::Faces(Box::new(air(drag))),
+            Torque::SolarPressure(light) => body::Torque::Faces(Box::new(sunlight(light))),
         }
     }
 
@@ -102,14 +105,18 @@ const LARGEST: usize = 16;
 impl Model {
     /// Returns the tables over time.
     fn tables(&self) -> impl Iterator<Item = &Table> {
-        let factors = self.driven.iter().filter_map(|driven| match &driven.factor {
-            Some(Factor::Table(table)) => Some(table),
-            None | Some(Factor::Harmonic(_)) => None,
-        });
-        factors.chain(self.torques.iter().filter_map(|torque| match torque {
-            Torque::Table(TorqueTable { table, .. }) => Some(table),
-            Torque::Constant(_) | Torque::Viscous(_) | Torque::OfMomentum(_) => None,
-        }))
+        let factors = self.driven.iter().filter_map(|driven| driven.factor.as_ref()?.table());
+        factors.chain(self.torques.iter().filter_map(Torque::table))
+    }
+
+    /// Returns the number of faces in streams.
+    pub(super) fn faces(&self) -> usize {
+        let of = |torque: &Torque| match torque {
+            Torque::Drag(drag) => drag.faces.len(),
+            Torque::SolarPressure(light) => light.faces.len(),
+            _ => 0,
+        };
+        self.torques.iter().map(of).sum()
     }
 
     /// Returns how many knots of tables there are within a run: a step ends at each.
@@ -119,29 +126,37 @@ impl Model {
         self.tables().map(of).sum::<usize>() as f64 + self.control.knots_within(duration_s, step_s)
     }
 
-    /// Returns the fastest rate in rad/s at which a driven term changes, with its index: that of its factor, or of its path
-    /// where it is fastest.
-    pub(super) fn fastest_change(&self) -> Option<(usize, f64)> {
+    /// Returns the fastest rate in rad/s at which a driven term or a stream changes, with its pointer: that of its factor, or of its
+    /// path where it is fastest.
+    pub(super) fn fastest_change(&self) -> Option<(String, f64)> {
+        // At the pericentre: n (1 + e)^(1/2) / (1 - e)^(3/2).
+        let on_orbit = |mean_motion: f64, e: f64| {
+            mean_motion.abs() * (1.0 + e).sqrt() / ((1.0 - e) * (1.0 - e).sqrt())
+        };
+        let of_factor = |factor: &Option<Factor>| factor.as_ref().map_or(0.0, Factor::rate_rad_s);
         let rate = |driven: &DrivenTerm| {
-            let factor = match &driven.factor {
-                Some(Factor::Harmonic(harmonic)) if harmonic.amplitude != 0.0 => {
-                    harmonic.rate_rad_s.abs()
-                }
-                None | Some(Factor::Harmonic(_) | Factor::Table(_)) => 0.0,
-            };
             let path = match &driven.path {
                 None => 0.0,
                 Some(Path::Turning(turning)) => turning.rate_rad_s.abs(),
-                // At the pericentre: n (1 + e)^(1/2) / (1 - e)^(3/2).
-                Some(Path::Orbit(orbit)) => {
-                    let e = orbit.eccentricity;
-                    orbit.mean_motion_rad_s.abs() * (1.0 + e).sqrt()
-                        / ((1.0 - e) * (1.0 - e).sqrt())
-                }
+                Some(Path::Orbit(orbit)) => on_orbit(orbit.mean_motion_rad_s, orbit.eccentricity),
             };
-            factor.max(path)
+            of_factor(&driven.factor).max(path)
         };
-        let rates = self.driven.iter().map(rate).enumerate();
+        let of_torque = |torque: &Torque| match torque {
+            Torque::Drag(Drag { orbit, factor, .. }) => {
+                let path = orbit
+                    .as_ref()
+                    .map_or(0.0, |orbit| on_orbit(orbit.mean_motion_rad_s, orbit.eccentricity));
+                of_factor(factor).max(path)
+            }
+            Torque::SolarPressure(light) => of_factor(&light.factor),
+            _ => 0.0,
+        };
+        let terms = self.driven.iter().map(rate).enumerate();
+        let terms = terms.map(|(index, rate)| (format!("/scene/driven/{index}"), rate));
+        let torques = self.torques.iter().map(of_torque).enumerate();
+        let torques = torques.map(|(index, rate)| (format!("/scene/torques/{index}"), rate));
+        let rates = terms.chain(torques);
         rates.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|&(_, rate)| rate > 0.0)
     }
 
@@ -183,14 +198,25 @@ pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTer
             let plane = [from, towards].map(vector);
             body::Path::Turning { plane, rate: turning.rate_rad_s }
         }
-        Some(Path::Orbit(orbit)) => body::Path::Orbit {
-            across: vector(across(&orbit.towards, &unit_vector(given.term.law().space_vector()))),
-            mean_motion: orbit.mean_motion_rad_s,
-            eccentricity: orbit.eccentricity,
-            mean_anomaly: orbit.mean_anomaly_rad,
-        },
+        Some(Path::Orbit(orbit)) => {
+            let pericentre = unit_vector(given.term.law().space_vector());
+            let across = across(&orbit.towards, &pericentre);
+            let node_rate = node_rate_on_path(orbit, pericentre.as_slice(), across.as_slice());
+            body::Path::Orbit {
+                across: vector(across),
+                mean_motion: orbit.mean_motion_rad_s,
+                eccentricity: orbit.eccentricity,
+                mean_anomaly: orbit.mean_anomaly_rad,
+                node_rate,
+            }
+        }
     };
-    let factor = match &given.factor {
+    let factor = factor(given.factor.as_ref());
+    body::DrivenTerm { term, path, factor }
+}
+
+fn factor(given: Option<&Factor>) -> body::Factor {
+    match given {
         None => body::Factor::Constant,
         Some(Factor::Harmonic(harmonic)) => body::Factor::Harmonic {
             mean: harmonic.mean,
@@ -199,8 +225,43 @@ pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTer
             phase: harmonic.phase_rad,
         },
         Some(Factor::Table(table)) => body::Factor::Table(over_time(table)),
+    }
+}
+
+/// Returns faces in the air: see the formulas of [`body::Faces`].
+fn air<const N: usize>(given: &Drag) -> body::Faces<N> {
+    let face = |face: &DragFace| body::Face {
+        normal: vector(unit_vector(&face.normal).as_slice()),
+        centre: vector(&face.centre_m),
+        along: 0.5 * given.density_kg_m3 * face.coefficient * face.area_m2,
+        mirrored: 0.0,
+        scattered: 0.0,
     };
-    body::DrivenTerm { term, path, factor }
+    let orbit = given.orbit.as_ref().map(kepler_orbit);
+    body::Faces {
+        faces: given.faces.iter().map(face).collect(),
+        stream: body::Stream::Flight(orbit.expect("the check found an orbit")),
+        factor: factor(given.factor.as_ref()),
+    }
+}
+
+/// Returns faces in sunlight.
+fn sunlight<const N: usize>(given: &SolarPressure) -> body::Faces<N> {
+    let face = |face: &LitFace| {
+        let force = given.pressure_n_m2 * face.area_m2;
+        body::Face {
+            normal: vector(unit_vector(&face.normal).as_slice()),
+            centre: vector(&face.centre_m),
+            along: force * (face.absorption + face.diffuse),
+            mirrored: 2.0 * force * face.specular,
+            scattered: 2.0 / 3.0 * force * face.diffuse,
+        }
+    };
+    body::Faces {
+        faces: given.faces.iter().map(face).collect(),
+        stream: body::Stream::Direction(vector(unit_vector(&given.sun).as_slice())),
+        factor: factor(given.factor.as_ref()),
+    }
 }
 
 /// Returns the axes of the frame of an orbit at t = 0 in space coordinates, as columns: z along the direction or position of

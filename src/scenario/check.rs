@@ -81,7 +81,7 @@ fn control(scenario: &Scenario, n: usize) -> Check {
 
 /// Checks the terms that change with time, the torques and the wheels.
 fn driven(scenario: &Scenario, n: usize) -> Check {
-    let Scene { driven, torques, wheels, .. } = &scenario.scene;
+    let Scene { driven, torques, wheels, field, .. } = &scenario.scene;
     let most = |count: usize, pointer: &str| {
         ensure(count <= MAX_TERMS, pointer, || {
             format!("{count} given, at most {MAX_TERMS} are allowed")
@@ -96,7 +96,7 @@ fn driven(scenario: &Scenario, n: usize) -> Check {
         term.check(&format!("/scene/driven/{index}"), n, duration_s)?;
     }
     for (index, torque) in torques.iter().enumerate() {
-        torque.check(&format!("/scene/torques/{index}"), n, duration_s)?;
+        torque.check(&format!("/scene/torques/{index}"), n, duration_s, field.is_some())?;
     }
     wheels.as_ref().map_or(Ok(()), |wheels| super::driven::wheels(wheels, n))
 }

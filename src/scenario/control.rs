@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::driven::{apart, orbit_frame};
 use super::range::{Check, LARGEST_SEED, attitude, direction, ensure, number, strength};
-use super::{Attitude, Scenario, ScenarioError, Turning};
+use super::{Attitude, FieldOrbit, Scenario, Turning};
 
 /// Control by samples: every so often the attitude and the angular velocity are read, a command computed, and held until the next
 /// sample. Steps end at the samples, so that a method keeps its order.
@@ -114,6 +114,8 @@ pub enum Law {
     Damping(DampingLaw),
     /// A magnetic moment against the change of the field in the body; for magnetorquers.
     BDot(BDotLaw),
+    /// Against the speed w of each wheel relative to the body: `-coefficient w`; for wheels.
+    WheelFriction(WheelFriction),
 }
 
 /// Towards the target.
@@ -138,6 +140,14 @@ pub struct AttitudeLaw {
 pub struct DampingLaw {
     /// In N m s.
     pub rate_gain_n_m_s: f64,
+}
+
+/// Against the speed of a wheel relative to the body, about its axis: a bearing, or a fluid in a ring.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WheelFriction {
+    /// In N m s; at most the moment of the wheel over `every_s`, which stops it within one sample.
+    pub coefficient_n_m_s: f64,
 }
 
 /// Against the change of the field.
@@ -216,37 +226,6 @@ pub struct Dipole {
     pub permanent_moment_a_m2: Option<[f64; 3]>,
 }
 
-/// A Kepler orbit about the centre of space, by its elements, or by the direction to its pericentre and another one in its plane.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct FieldOrbit {
-    /// Semi-major axis in m.
-    pub semi_major_axis_m: f64,
-    /// Mean motion, 2 pi over the period, in rad/s.
-    pub mean_motion_rad_s: f64,
-    /// Eccentricity, from 0 to 0.99.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub eccentricity: f64,
-    /// Mean anomaly at t = 0 in rad; 0 is the pericentre.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub mean_anomaly_rad: f64,
-    /// Inclination against the x-y plane in rad; 0 if absent.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub inclination_rad: f64,
-    /// Angle of the ascending node from x in rad; 0 if absent.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub node_rad: f64,
-    /// Angle of the pericentre from the node in rad; 0 if absent.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub argument_rad: f64,
-    /// Direction to the pericentre, in the place of inclination, node and argument.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub from: Option<[f64; 3]>,
-    /// With `from`: from the pericentre it turns towards this direction.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub towards: Option<[f64; 3]>,
-}
-
 /// Where the body points, at each sample: its attitude and rate relative to a frame, and one of its axes against a direction; n = 3.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -315,7 +294,7 @@ impl fmt::Display for Stop {
     }
 }
 
-fn is_zero(x: &f64) -> bool {
+pub(super) fn is_zero(x: &f64) -> bool {
     *x == 0.0
 }
 
@@ -374,6 +353,9 @@ impl Control {
                     })?;
                     strength(&format!("{at}/b_dot/gain_a_m2_s_per_t"), law.gain_a_m2_s_per_t)?;
                 }
+                Law::WheelFriction(law) => {
+                    self.check_friction(&format!("{at}/wheel_friction"), *law)?;
+                }
             }
         }
         if let Some(target) = &self.target {
@@ -383,6 +365,30 @@ impl Control {
             noise.check()?;
         }
         self.through.check(n, has_field)
+    }
+}
+
+impl Control {
+    fn check_friction(&self, at: &str, law: WheelFriction) -> Check {
+        let Through::Wheels(wheels) = &self.through else {
+            return ensure(false, at, || {
+                "acts on wheels alone; `\"through\": {\"wheels\": ...}` is needed".to_owned()
+            });
+        };
+        let moments = wheels.moments_kg_m2.as_deref().unwrap_or_default();
+        let least = moments.iter().copied().reduce(f64::min).unwrap_or_default();
+        ensure(least > 0.0, "/scene/control/through/wheels/moments_kg_m2", || {
+            format!("is needed, with numbers above 0; the law at {at} slows wheels by their speed")
+        })?;
+        let at = format!("{at}/coefficient_n_m_s");
+        limit(&at, Some(law.coefficient_n_m_s), true)?;
+        let most = least / self.every_s;
+        ensure(law.coefficient_n_m_s <= most, at, || {
+            format!(
+                "{:?} given, but held for `every_s` more than {most:e} turns a wheel back; give less, or samples closer together",
+                law.coefficient_n_m_s
+            )
+        })
     }
 }
 
@@ -521,39 +527,7 @@ impl Field {
         if let Some(moment) = &dipole.permanent_moment_a_m2 {
             super::range::point(&format!("{at}/permanent_moment_a_m2"), moment, 3)?;
         }
-        let (at, orbit) = (format!("{at}/orbit"), &dipole.orbit);
-        let axis = orbit.semi_major_axis_m;
-        ensure((1.0..=1e12).contains(&axis), format!("{at}/semi_major_axis_m"), || {
-            format!("{axis:?} given, a semi-major axis is from 1 to 1e12 m")
-        })?;
-        strength(&format!("{at}/mean_motion_rad_s"), orbit.mean_motion_rad_s)?;
-        let e = orbit.eccentricity;
-        ensure((0.0..=0.99).contains(&e), format!("{at}/eccentricity"), || {
-            format!("{e} given, an eccentricity must be from 0 to 0.99")
-        })?;
-        let elements = [
-            ("inclination_rad", orbit.inclination_rad),
-            ("node_rad", orbit.node_rad),
-            ("argument_rad", orbit.argument_rad),
-        ];
-        number(&format!("{at}/mean_anomaly_rad"), orbit.mean_anomaly_rad)?;
-        for (name, angle) in elements {
-            number(&format!("{at}/{name}"), angle)?;
-            let both = orbit.from.is_some() && angle != 0.0;
-            ensure(!both, format!("{at}/{name}"), || {
-                "is given together with `from`; give one of the two".to_owned()
-            })?;
-        }
-        match (&orbit.from, &orbit.towards) {
-            (None, None) => Ok(()),
-            (Some(from), Some(towards)) => plane(&at, from, towards),
-            (Some(_), None) => {
-                Err(ScenarioError::invalid(at, "missing field `towards`, which `from` needs"))
-            }
-            (None, Some(_)) => {
-                Err(ScenarioError::invalid(at, "missing field `from`, which `towards` needs"))
-            }
-        }
+        dipole.orbit.check(&format!("{at}/orbit"))
     }
 }
 
@@ -606,7 +580,7 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
 }
 
 /// Checks a limit: above zero, or not below it.
-fn limit(pointer: &str, given: Option<f64>, or_zero: bool) -> Check {
+pub(super) fn limit(pointer: &str, given: Option<f64>, or_zero: bool) -> Check {
     let Some(x) = given else { return Ok(()) };
     strength(pointer, x)?;
     ensure(x > 0.0 || or_zero && x == 0.0, pointer, || {
@@ -614,11 +588,11 @@ fn limit(pointer: &str, given: Option<f64>, or_zero: bool) -> Check {
     })
 }
 
-fn only_three(pointer: &str, n: usize) -> Check {
+pub(super) fn only_three(pointer: &str, n: usize) -> Check {
     ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}"))
 }
 
-fn plane(at: &str, from: &[f64; 3], towards: &[f64; 3]) -> Check {
+pub(super) fn plane(at: &str, from: &[f64; 3], towards: &[f64; 3]) -> Check {
     direction(&format!("{at}/from"), from, 3)?;
     direction(&format!("{at}/towards"), towards, 3)?;
     apart(&format!("{at}/towards"), from, towards, "`from`")

@@ -3,11 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::control::only_three;
 use super::range::{
     Check, direction, ensure, framed, largest, matrix, number, size, strength, symmetry,
 };
 use super::term::PotentialTerm;
-use super::{Entry, Framed};
+use super::{Drag, Entry, Framed, Oblateness, SolarPressure};
 
 /// A term of the potential that changes with time: its vector moves, or its strength.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -68,12 +69,15 @@ pub struct Orbit {
     /// Mean anomaly at t = 0 in rad; 0 is the pericentre.
     #[serde(default)]
     pub mean_anomaly_rad: f64,
+    /// n = 3: oblateness of the central body, by which the plane of the orbit turns about z; with `semi_major_axis_m`. None if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub j2: Option<Oblateness>,
 }
 
 impl Orbit {
     /// Returns a circle, from the pericentre.
     pub fn of(towards: Vec<f64>, mean_motion_rad_s: f64) -> Self {
-        Self { towards, mean_motion_rad_s, eccentricity: 0.0, mean_anomaly_rad: 0.0 }
+        Self { towards, mean_motion_rad_s, eccentricity: 0.0, mean_anomaly_rad: 0.0, j2: None }
     }
 }
 
@@ -171,6 +175,10 @@ pub enum Torque {
     Viscous(Viscous),
     /// `-rate` times the body momentum.
     OfMomentum(OfMomentum),
+    /// n = 3: of thin air along an orbit, on flat faces.
+    Drag(Drag),
+    /// n = 3: of sunlight on flat faces.
+    SolarPressure(SolarPressure),
 }
 
 /// A torque by a table.
@@ -241,18 +249,45 @@ impl DrivenTerm {
                 ensure((0.0..=0.99).contains(&e), format!("{at}/eccentricity"), || {
                     format!("{e} given, an eccentricity must be from 0 to 0.99")
                 })?;
+                if let Some(oblateness) = &orbit.j2 {
+                    let at = format!("{at}/j2");
+                    only_three(&at, n)?;
+                    oblateness.check_on_path(&at, e)?;
+                }
             }
         }
-        match &self.factor {
-            None => Ok(()),
-            Some(Factor::Harmonic(harmonic)) => {
-                let at = format!("{at}/factor/harmonic");
+        let factor = self.factor.as_ref();
+        factor.map_or(Ok(()), |factor| factor.check(&format!("{at}/factor"), duration_s))
+    }
+}
+
+impl Factor {
+    pub(super) fn check(&self, at: &str, duration_s: Option<f64>) -> Check {
+        match self {
+            Self::Harmonic(harmonic) => {
+                let at = format!("{at}/harmonic");
                 number(&format!("{at}/mean"), harmonic.mean)?;
                 strength(&format!("{at}/amplitude"), harmonic.amplitude)?;
                 strength(&format!("{at}/rate_rad_s"), harmonic.rate_rad_s)?;
                 number(&format!("{at}/phase_rad"), harmonic.phase_rad)
             }
-            Some(Factor::Table(table)) => table.check(&format!("{at}/factor/table"), duration_s),
+            Self::Table(table) => table.check(&format!("{at}/table"), duration_s),
+        }
+    }
+
+    /// Returns its table, if it is one.
+    pub(crate) fn table(&self) -> Option<&Table> {
+        match self {
+            Self::Harmonic(_) => None,
+            Self::Table(table) => Some(table),
+        }
+    }
+
+    /// Returns the rate in rad/s at which it oscillates; 0 if it does not.
+    pub(crate) fn rate_rad_s(&self) -> f64 {
+        match self {
+            Self::Harmonic(harmonic) if harmonic.amplitude != 0.0 => harmonic.rate_rad_s.abs(),
+            Self::Harmonic(_) | Self::Table(_) => 0.0,
         }
     }
 }
@@ -306,7 +341,25 @@ impl Table {
 }
 
 impl Torque {
-    pub(super) fn check(&self, at: &str, n: usize, duration_s: Option<f64>) -> Check {
+    /// Returns the table over time that it has, if any.
+    pub(crate) fn table(&self) -> Option<&Table> {
+        match self {
+            Self::Table(torque) => Some(&torque.table),
+            Self::Drag(Drag { factor, .. }) | Self::SolarPressure(SolarPressure { factor, .. }) => {
+                factor.as_ref().and_then(Factor::table)
+            }
+            Self::Constant(_) | Self::Viscous(_) | Self::OfMomentum(_) => None,
+        }
+    }
+
+    /// Checks form and range; `has_orbit` is whether the scene has a field, with its orbit.
+    pub(super) fn check(
+        &self,
+        at: &str,
+        n: usize,
+        duration_s: Option<f64>,
+        has_orbit: bool,
+    ) -> Check {
         match self {
             Self::Constant(torque) => framed(&format!("{at}/constant"), torque, n),
             Self::Table(given) => {
@@ -316,6 +369,10 @@ impl Torque {
             Self::Viscous(viscous) => viscous.check(&format!("{at}/viscous"), n),
             Self::OfMomentum(of) => {
                 strength(&format!("{at}/of_momentum/rate_per_s"), of.rate_per_s)
+            }
+            Self::Drag(drag) => drag.check(&format!("{at}/drag"), n, duration_s, has_orbit),
+            Self::SolarPressure(light) => {
+                light.check(&format!("{at}/solar_pressure"), n, duration_s)
             }
         }
     }

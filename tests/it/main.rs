@@ -30,6 +30,7 @@ mod given;
 mod log;
 mod memory;
 mod open;
+mod orbit;
 mod plan_sees;
 #[cfg(feature = "chart")]
 mod report;

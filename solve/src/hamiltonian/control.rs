@@ -317,6 +317,7 @@ impl<const N: usize> Control<N> {
         }
         let mut torque = Mat::<N>::zeros();
         let mut moment = [0.0; 3];
+        let mut friction = 0.0;
         let field = match &self.actuator {
             Actuator::Magnetorquers { field, .. } => {
                 let field = so::to_body(g, &field.at::<N>(Time::of(time_s)).0);
@@ -340,6 +341,7 @@ impl<const N: usize> Control<N> {
                         moment[i] -= gain * (field[i] - state.field[i]) / self.every_s;
                     }
                 }
+                ControlLaw::WheelFriction { coefficient } => friction += coefficient,
             }
         }
         let mut wanted = so::vee(&torque);
@@ -369,7 +371,10 @@ impl<const N: usize> Control<N> {
                         wheel_speeds.push((wheel_momenta[i] - with_body) / wheels.moments[i]);
                     }
                     let motor = -so::inner(&wheels.shares[i], &torque);
-                    let motor = whole(limited(motor, wheels.torque_limit));
+                    let mut motor = whole(limited(motor, wheels.torque_limit));
+                    if friction != 0.0 && wheels.moments[i] > 0.0 {
+                        motor -= friction * (wheel_momenta[i] - with_body) / wheels.moments[i];
+                    }
                     // Relative to the body the wheel stays below its limit at the end.
                     let relative = begins[i] - with_body;
                     let room = |limit: f64| (limit - relative) / self.every_s;

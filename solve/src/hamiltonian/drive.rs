@@ -5,7 +5,7 @@
 //! coordinates, and once for all members of an ensemble. The torques that are no potential's add up to
 //!
 //! ```text
-//! F_tau = a + U^T b - c Omega - r mu
+//! F_tau = a + U^T b - c Omega - r mu + sum of the faces in streams
 //! ```
 //!
 //! with a constant in the body, b constant in space, c a coefficient for each axis of the body.
@@ -30,6 +30,8 @@ use crate::time::Time;
 pub(crate) struct Drive {
     terms: Vec<TermAtStages>,
     push: Option<PushAtStages>,
+    /// Streams on faces, in the order of these among the torques.
+    streams: Vec<StreamAtStages>,
     /// Momentum of wheels relative to the body.
     pub(crate) wheels: WheelsAtStages,
 }
@@ -48,7 +50,7 @@ impl Default for Drive {
     fn default() -> Self {
         let wheels =
             WheelsAtStages { at_start: [0.0; 3], at_stages: [Row::splat(0.0); 3], rate: None };
-        Self { terms: Vec::new(), push: None, wheels }
+        Self { terms: Vec::new(), push: None, streams: Vec::new(), wheels }
     }
 }
 
@@ -81,6 +83,15 @@ struct PushAtStages {
     tables: Row,
 }
 
+/// A stream on faces.
+#[derive(Clone, Copy, Debug)]
+struct StreamAtStages {
+    /// Where it comes from, in space coordinates.
+    space: Vec3<Row>,
+    /// Factor on the forces.
+    factor: Row,
+}
+
 /// Vectors of a drive at the stages, as seen from where a step begins.
 #[derive(Clone, Debug)]
 pub(crate) struct DriveInFrame<S> {
@@ -90,12 +101,14 @@ pub(crate) struct DriveInFrame<S> {
     moving: Vec<Vec3<S>>,
     /// b, the torque that is constant in space.
     push: Vec3<S>,
+    /// Where streams come from.
+    streams: Vec<Vec3<S>>,
 }
 
 impl<S: Copy> DriveInFrame<S> {
     /// Nothing; `blank` is anything.
     pub(crate) fn nothing(blank: S) -> Self {
-        Self { vectors: Vec::new(), moving: Vec::new(), push: [blank; 3] }
+        Self { vectors: Vec::new(), moving: Vec::new(), push: [blank; 3], streams: Vec::new() }
     }
 
     /// Brings the vectors of `drive` up to the attitude `g`; `blank` is anything.
@@ -108,15 +121,19 @@ impl<S: Copy> DriveInFrame<S> {
         blank: S,
     ) {
         let turn: Mat3<R> = mat3!(i, j => lanes.spread(g[i][j]));
-        let Self { vectors, moving, push } = self;
+        let Self { vectors, moving, push, streams } = self;
         vectors.clear();
         moving.clear();
+        streams.clear();
         for term in &drive.terms {
             vectors.push(seen(&turn, &term.space, blank));
             moving.push(seen(&turn, &term.moving, blank));
         }
         if let Some(torques) = &drive.push {
             *push = seen(&turn, &torques.space, blank);
+        }
+        for stream in &drive.streams {
+            streams.push(seen(&turn, &stream.space, blank));
         }
     }
 }
@@ -146,6 +163,7 @@ impl Drive {
         nodes: &[f64],
     ) -> Result<(), Failure> {
         self.terms.clear();
+        self.streams.clear();
         self.push = None;
         let times = |k: usize| Time::in_step(begun, h, nodes[k] * h);
         // Lanes without a stage repeat the last one.
@@ -198,6 +216,16 @@ impl Drive {
         }
         if !body.driven.torques.is_empty() {
             self.push = Some(PushAtStages::of(&body.driven.torques, |lane| times(stage(lane))));
+        }
+        for faces in body.driven.faces() {
+            let mut stream =
+                StreamAtStages { space: [Row::splat(0.0); 3], factor: Row::splat(0.0) };
+            for lane in 0..WIDTH {
+                let (space, factor) = faces.driving(times(stage(lane)));
+                (0..3).for_each(|i| stream.space[i][lane] = space[i]);
+                stream.factor[lane] = factor;
+            }
+            self.streams.push(stream);
         }
         Ok(())
     }
@@ -259,6 +287,8 @@ impl PushAtStages {
                     push.viscous = plus(&push.viscous, &of_axis);
                 }
                 Torque::OfMomentum(rate) => push.of_momentum += rate,
+                // At the stages: [`Drive::streams`].
+                Torque::Faces(_) => {}
             }
         }
         push
@@ -290,7 +320,31 @@ impl RigidBody<3> {
         if let Some(push) = &drive.push {
             torque = minus(&torque, &push.torque(u, motion, &seen.push));
         }
+        if !drive.streams.is_empty() {
+            torque = minus(&torque, &self.torque_of_faces(u, drive, seen));
+        }
         (torque, proximity)
+    }
+
+    /// The torque of streams on faces at the stages.
+    #[inline(always)]
+    fn torque_of_faces<R: StageScalar>(
+        &self,
+        u: &Mat3<R>,
+        drive: &Drive,
+        seen: &DriveInFrame<R::Storage>,
+    ) -> Vec3<R> {
+        let lanes = u[0][0];
+        let mut sum = [lanes.constant(0.0); 3];
+        for ((faces, stream), v) in self.driven.faces().zip(&drive.streams).zip(&seen.streams) {
+            let q = transposed_product(u, &vec3!(i => lanes.load(&v[i])));
+            let mut torque = [lanes.constant(0.0); 3];
+            for face in &faces.faces {
+                face.add_torque(&q, &mut torque);
+            }
+            sum = plus(&sum, &scaled(&torque, lanes.row(&stream.factor)));
+        }
+        sum
     }
 
     /// What time and torques put in during a step: at the stages `dH/dt + <F, Omega>` to the energy and `U F` to the
@@ -323,7 +377,10 @@ impl RigidBody<3> {
         }
         let mut impulse = [lanes.constant(0.0); 3];
         if let Some(push) = &drive.push {
-            let torque = push.torque(u, [mu, omega], &seen.push);
+            let mut torque = push.torque(u, [mu, omega], &seen.push);
+            if !drive.streams.is_empty() {
+                torque = plus(&torque, &self.torque_of_faces(u, drive, seen));
+            }
             power = power + dot(&torque, omega);
             impulse = product(u, &torque);
         }

@@ -13,13 +13,16 @@
 //! Invariant: [`BodyAtTime::input`] is the rate of the energy along the motion that [`BodyAtTime::gradient`] makes.
 
 use super::RigidBody;
+mod faces;
 mod table;
 
+use faces::FacesAtTime;
+pub use faces::{Face, Faces, Stream};
 pub use table::{Interpolation, Table};
 
 use super::term::{Law, Space, Term};
 use crate::failure::{Failure, FailureCode};
-use crate::kepler::eccentric_anomaly;
+use crate::kepler::{Orbit, Place, about_z, eccentric_anomaly, z_axis};
 use crate::so::{self, Mat, Vector};
 use crate::system::Energy;
 use crate::time::Time;
@@ -50,6 +53,8 @@ pub enum Path<const N: usize> {
         eccentricity: f64,
         /// Mean anomaly at t = 0, in rad.
         mean_anomaly: f64,
+        /// Rate at which the plane turns about z, in rad/s; n = 3.
+        node_rate: f64,
     },
     /// The vector is a magnetic field along an orbit, in T; the term's own vector plays no part. n = 3.
     Dipole(Box<DipoleField>),
@@ -70,37 +75,19 @@ pub struct DipoleField {
     pub tilt_rad: f64,
     /// Rate at which the dipole turns about z, in rad/s.
     pub rotation_rad_s: f64,
-    /// Unit vectors of space: to the pericentre, and across it in the plane of the orbit in the direction of flight.
-    pub plane: [[f64; 3]; 2],
-    /// Semi-major axis, in m.
-    pub semi_major_axis_m: f64,
-    /// Mean motion, in rad/s.
-    pub mean_motion_rad_s: f64,
-    /// Eccentricity, from 0 to less than 1.
-    pub eccentricity: f64,
-    /// Mean anomaly at t = 0, in rad.
-    pub mean_anomaly_rad: f64,
+    /// The orbit.
+    pub orbit: Orbit,
 }
 
 impl DipoleField {
     /// The field at a time, in T, and its rate, in T/s, in space coordinates.
     pub(super) fn at<const N: usize>(&self, t: Time) -> (Vector<N>, Vector<N>) {
-        let e = self.eccentricity;
-        let (sin, cos) =
-            eccentric_anomaly(t.angle(self.mean_motion_rad_s, self.mean_anomaly_rad), e);
-        // r / a, the direction by the true anomaly, and their rates.
-        let (r, root) = (1.0 - e * cos, (1.0 - e * e).sqrt());
-        let (x, y) = ((cos - e) / r, root * sin / r);
-        let turning = self.mean_motion_rad_s * root / (r * r);
-        let receding = self.mean_motion_rad_s * e * sin / r;
-        let [p, q] = self.plane;
+        let Place { direction: at, turning: at_rate, distance: r, receding } = self.orbit.at(t);
         let (sin, cos) = libm::sincos(self.tilt_rad);
         let (turned_sin, turned_cos) = libm::sincos(t.angle(self.rotation_rad_s, 0.0));
         let d = [-sin * turned_cos, -sin * turned_sin, -cos];
         let d_rate = [-d[1] * self.rotation_rad_s, d[0] * self.rotation_rad_s, 0.0];
-        let at: [f64; 3] = std::array::from_fn(|i| p[i] * x + q[i] * y);
-        let at_rate: [f64; 3] = std::array::from_fn(|i| (q[i] * x - p[i] * y) * turning);
-        let distance_m = self.semi_major_axis_m * r;
+        let distance_m = self.orbit.semi_major_axis_m * r;
         let size = self.moment_t_m3 / (distance_m * distance_m * distance_m);
         let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         let along = dot(&d, &at);
@@ -145,6 +132,23 @@ pub enum Factor {
     Table(Table<1>),
 }
 
+impl Factor {
+    /// Its value and the rate of that at a time.
+    fn at(&self, t: Time) -> (f64, f64) {
+        match self {
+            Self::Constant => (1.0, 0.0),
+            Self::Harmonic { mean, amplitude, rate, phase } => {
+                let (sin, cos) = libm::sincos(t.angle(*rate, *phase));
+                (mean + amplitude * cos, -amplitude * rate * sin)
+            }
+            Self::Table(table) => {
+                let ([value], [rate]) = table.at(t);
+                (value, rate)
+            }
+        }
+    }
+}
+
 /// A term of the potential that changes with time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrivenTerm<const N: usize> {
@@ -176,6 +180,8 @@ pub enum Torque<const N: usize> {
     Viscous(Mat<N>),
     /// `-rate mu`, in 1/s.
     OfMomentum(f64),
+    /// A stream on flat faces.
+    Faces(Box<Faces<N>>),
 }
 
 /// Parts of a body that change with time, or push it.
@@ -207,7 +213,16 @@ impl<const N: usize> Driven<N> {
         }
         self.torques.iter().try_for_each(|torque| match torque {
             Torque::Table { table, .. } => table.check(t.seconds()),
+            Torque::Faces(faces) => faces.check(t.seconds()),
             _ => Ok(()),
+        })
+    }
+
+    /// The faces on which streams act.
+    pub(super) fn faces(&self) -> impl Iterator<Item = &Faces<N>> {
+        self.torques.iter().filter_map(|torque| match torque {
+            Torque::Faces(faces) => Some(faces.as_ref()),
+            _ => None,
         })
     }
 
@@ -219,7 +234,7 @@ impl<const N: usize> Driven<N> {
         })
     }
 
-    /// The tables of factors.
+    /// The tables of factors on terms.
     fn factor_tables(&self) -> impl Iterator<Item = &Table<1>> {
         self.terms.iter().filter_map(|term| match &term.factor {
             Factor::Table(table) => Some(table),
@@ -233,7 +248,12 @@ impl<const N: usize> Driven<N> {
             let knots = table.knots();
             knots.get(knots.partition_point(|&knot| knot <= t)).copied().unwrap_or(f64::INFINITY)
         };
+        let of_faces = self.faces().filter_map(|faces| match &faces.factor {
+            Factor::Table(table) => Some(table),
+            Factor::Constant | Factor::Harmonic { .. } => None,
+        });
         let tables = self.factor_tables().chain(self.torque_tables().map(|(_, table)| table));
+        let tables = tables.chain(of_faces);
         tables.map(next).fold(f64::INFINITY, f64::min)
     }
 
@@ -252,16 +272,17 @@ impl<const N: usize> Driven<N> {
 
     /// The space vectors through which the driven terms see the attitude at any time.
     pub(super) fn space_vectors(&self) -> Vec<Vector<N>> {
+        let unit = |axis: usize| Vector::from_fn(|i, _| f64::from(i == axis));
         let of = |driven: &DrivenTerm<N>| {
             let own = driven.term.space;
             match &driven.path {
                 Path::Fixed => vec![own],
                 Path::Turning { plane: [a, b], .. } => vec![own, *a, *b],
-                Path::Orbit { across, .. } => vec![own, *across],
+                Path::Orbit { across, node_rate: 0.0, .. } => vec![own, *across],
+                // Its plane turns about z, too.
+                Path::Orbit { across, .. } => vec![own, *across, unit(0), unit(1)],
                 // It has no direction that stays in a plane.
-                Path::Dipole(_) => {
-                    (0..N).map(|axis| Vector::from_fn(|i, _| f64::from(i == axis))).collect()
-                }
+                Path::Dipole(_) => (0..N).map(unit).collect(),
             }
         };
         self.terms.iter().flat_map(of).collect()
@@ -295,6 +316,7 @@ pub(crate) struct BodyAtTime<const N: usize> {
     /// The body with its potential at that moment.
     pub(crate) body: RigidBody<N>,
     torques: Vec<Torque<N>>,
+    faces: Vec<FacesAtTime<N>>,
     /// Strengths of the torques by tables, added up.
     tables: f64,
     /// Rate of the momentum of driven wheels.
@@ -362,9 +384,10 @@ impl<const N: usize> DrivenTerm<N> {
             (Factor::Constant, Path::Turning { plane: [a, b], rate }) => {
                 Some(so::wedge(b, a) * *rate)
             }
-            (Factor::Constant, Path::Orbit { across, mean_motion, eccentricity, .. })
-                if *eccentricity == 0.0 =>
-            {
+            (
+                Factor::Constant,
+                Path::Orbit { across, mean_motion, eccentricity: 0.0, node_rate: 0.0, .. },
+            ) => {
                 let length = so::norm(self.term.space.as_slice());
                 (length > 0.0)
                     .then(|| so::wedge(across, &(self.term.space / length)) * *mean_motion)
@@ -382,17 +405,7 @@ impl<const N: usize> DrivenTerm<N> {
     /// Its factor and its space vector at a time, and their rates.
     pub(super) fn driving(&self, t: Time) -> Driving<N> {
         let own = self.term.space;
-        let (mut strength, mut strengthening) = match &self.factor {
-            Factor::Constant => (1.0, 0.0),
-            Factor::Harmonic { mean, amplitude, rate, phase } => {
-                let (sin, cos) = libm::sincos(t.angle(*rate, *phase));
-                (mean + amplitude * cos, -amplitude * rate * sin)
-            }
-            Factor::Table(table) => {
-                let ([value], [rate]) = table.at(t);
-                (value, rate)
-            }
-        };
+        let (mut strength, mut strengthening) = self.factor.at(t);
         let (space, moving) = match &self.path {
             Path::Fixed => (own, Vector::zeros()),
             Path::Dipole(field) => field.at(t),
@@ -404,7 +417,7 @@ impl<const N: usize> DrivenTerm<N> {
                 let (now_x, now_y) = (x * cos - y * sin, x * sin + y * cos);
                 (rest + a * now_x + b * now_y, (b * now_x - a * now_y) * *rate)
             }
-            Path::Orbit { across, mean_motion, eccentricity: e, mean_anomaly } => {
+            Path::Orbit { across, mean_motion, eccentricity: e, mean_anomaly, node_rate } => {
                 let (sin, cos) = eccentric_anomaly(t.angle(*mean_motion, *mean_anomaly), *e);
                 // r / a, and the direction by the true anomaly.
                 let (r, root) = (1.0 - e * cos, (1.0 - e * e).sqrt());
@@ -412,8 +425,14 @@ impl<const N: usize> DrivenTerm<N> {
                 let turning = mean_motion * root / (r * r);
                 let receding = mean_motion * e * sin / r;
                 let length = so::norm(own.as_slice());
-                let direction = own * x + across * (length * y);
-                let sideways = (across * (length * x) - own * y) * turning;
+                let mut direction = own * x + across * (length * y);
+                let mut sideways = (across * (length * x) - own * y) * turning;
+                if *node_rate != 0.0 {
+                    let turn = about_z(t.angle(*node_rate, 0.0));
+                    direction = so::to_space(&turn, &direction);
+                    sideways = so::to_space(&turn, &sideways)
+                        + so::to_space(&z_axis(), &direction) * *node_rate;
+                }
                 match self.term.law.space() {
                     Space::Direction => (direction, sideways),
                     Space::Place => (direction * r, sideways * r + direction * receding),
@@ -440,8 +459,11 @@ impl<const N: usize> BodyAtTime<N> {
                 Torque::Space(torque) => so::conjugate(&g.transpose(), torque),
                 Torque::Viscous(coefficients) => -omega.component_mul(coefficients),
                 Torque::OfMomentum(rate) => mu * -rate,
-                Torque::Table { .. } => Mat::zeros(),
+                Torque::Table { .. } | Torque::Faces(_) => Mat::zeros(),
             };
+        }
+        for faces in &self.faces {
+            sum += faces.torque(g);
         }
         sum
     }
@@ -465,7 +487,8 @@ impl<const N: usize> BodyAtTime<N> {
 
     /// Returns the input: `dH/dt + <F_tau, Omega>` to the energy, `g F_tau g^T` to the spatial momentum.
     pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> WorkAndImpulse<N> {
-        let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
+        let pushed = !(self.torques.is_empty() && self.faces.is_empty());
+        let torque = pushed.then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
         if let Some(spin) = &self.spin {
             power -= so::inner(spin, omega);
@@ -548,10 +571,12 @@ impl<const N: usize> RigidBody<N> {
             other => other.clone(),
         };
         let refused = self.driven.check(t).err();
-        let torques = self.driven.torques.iter().map(now).collect();
+        let plain = |torque: &&Torque<N>| !matches!(torque, Torque::Faces(_));
+        let torques = self.driven.torques.iter().filter(plain).map(now).collect();
+        let faces = self.driven.faces().map(|faces| faces.at(t)).collect();
         let tables = self.driven.torque_tables().map(|(size, table)| size * table.at(t).0[0]).sum();
         let spin = self.driven.spin.map(|spin| spin.rate);
-        BodyAtTime { body, torques, tables, spin, changing, refused }
+        BodyAtTime { body, torques, faces, tables, spin, changing, refused }
     }
 
     /// The momentum of the wheels at a time.

@@ -6,6 +6,7 @@ use vpd_solve::control::{ControlLaw, Target};
 use vpd_solve::hamiltonian::{
     Actuator, Control, DipoleField, Kinetic, Law, ReactionWheels, RigidBody, Term, magnetic_term,
 };
+use vpd_solve::kepler::Orbit;
 use vpd_solve::noise::Noise;
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
@@ -83,11 +84,14 @@ fn field() -> DipoleField {
         moment_t_m3: 7.96e15,
         tilt_rad: 0.17,
         rotation_rad_s: 7.29e-5,
-        plane: [[1.0, 0.0, 0.0], [0.0, cos, sin]],
-        semi_major_axis_m: 6.9e6,
-        mean_motion_rad_s: 1.1e-3,
-        eccentricity: 0.01,
-        mean_anomaly_rad: 0.3,
+        orbit: Orbit {
+            plane: [[1.0, 0.0, 0.0], [0.0, cos, sin]],
+            semi_major_axis_m: 6.9e6,
+            mean_motion_rad_s: 1.1e-3,
+            eccentricity: 0.01,
+            mean_anomaly_rad: 0.3,
+            node_rate_rad_s: 0.0,
+        },
     }
 }
 

@@ -177,7 +177,9 @@ fn matrices_in_lanes_have_the_same_bits_on_every_instruction_set() {
 /// So have driven bodies and wheels for n = 3, and their work.
 #[test]
 fn driven_bodies_have_the_same_bits_on_every_instruction_set() {
-    for body in [driven::changing::<3>(), driven::pushed(), driven::with_wheels()] {
+    for body in
+        [driven::changing::<3>(), driven::pushed(), driven::in_streams(), driven::with_wheels()]
+    {
         for tableau in tableaux() {
             let end = |level: Option<Level>| {
                 let mut stepper = in_lanes(&tableau, true).on_level(level);
@@ -357,7 +359,9 @@ fn members_are_their_own_runs_bit_for_bit() {
 /// As above for bodies that are driven, steps that end at knots of their tables among them, and for wheels.
 #[test]
 fn driven_members_are_their_own_runs_bit_for_bit() {
-    for body in [driven::changing::<3>(), driven::pushed(), driven::with_wheels()] {
+    for body in
+        [driven::changing::<3>(), driven::pushed(), driven::in_streams(), driven::with_wheels()]
+    {
         for stages in [1, 2, 3, 4, 6] {
             let mut numbers = Numbers(stages as u64 + 41);
             // The last is stepped by itself, and fails.

@@ -376,6 +376,7 @@ fn failed_steps_leave_the_state_alone() {
             mean_motion: 1.0,
             eccentricity: 1.0,
             mean_anomaly: 0.5,
+            node_rate: 0.0,
         },
         factor: Factor::Constant,
     });

@@ -40,14 +40,21 @@ fn orbits() -> Vec<Frame<3>> {
     let p = unit([0.3, -0.4, 1.0]);
     let q = unit([1.0, 0.0, 0.2]);
     let q = (q - p * p.dot(&q)).normalize();
-    let orbit = |mean_motion: f64, eccentricity: f64| Frame::Orbit {
+    let orbit = |mean_motion: f64, eccentricity: f64, node_rate: f64| Frame::Orbit {
         plane: [p, q],
         mean_motion,
         eccentricity,
         mean_anomaly: 0.7,
+        node_rate,
     };
     let turning = Target { start: turned([0.3, 0.2, -0.5]), plane: [p, q], rate: 0.02 };
-    vec![orbit(1e-2, 0.0), orbit(1e-2, 0.4), orbit(-1e-2, 0.4), Frame::Target(turning)]
+    vec![
+        orbit(1e-2, 0.0, 0.0),
+        orbit(1e-2, 0.4, 0.0),
+        orbit(-1e-2, 0.4, 0.0),
+        orbit(1e-2, 0.4, -2e-3),
+        Frame::Target(turning),
+    ]
 }
 
 /// The frame of an orbit: z as Kepler has it, y against the angular momentum, x = y cross z, ahead if z points to the planet; its rate
@@ -61,9 +68,16 @@ fn frames_of_orbits_are_those_of_kepler() {
             let axes = at(time_s);
             let [x, y, z] = [0, 1, 2].map(|k| Vector::<3>::from(axes.column(k)));
             assert!((y.cross(&z) - x).norm() < 1e-14);
-            if let Frame::Orbit { plane: [p, q], mean_motion, eccentricity: e, mean_anomaly } =
-                &frame
+            if let Frame::Orbit {
+                plane: [p, q],
+                mean_motion,
+                eccentricity: e,
+                mean_anomaly,
+                node_rate,
+            } = &frame
             {
+                let node = so::exp(&so::hat(&[0.0, 0.0, node_rate * time_s]));
+                let [p, q] = [node * p, node * q];
                 let mean = mean_anomaly + mean_motion * time_s;
                 let mut anomaly = mean;
                 for _ in 0..200 {
@@ -71,7 +85,7 @@ fn frames_of_orbits_are_those_of_kepler() {
                 }
                 let place = p * (anomaly.cos() - e) + q * ((1.0 - e * e).sqrt() * anomaly.sin());
                 assert!((z - place.normalize()).norm() < 1e-12, "{time_s}");
-                let momentum = p.cross(q) * mean_motion.signum();
+                let momentum = p.cross(&q) * mean_motion.signum();
                 assert!((y + momentum).norm() < 1e-14, "{time_s}");
             }
             let h = 1e-2;

@@ -246,7 +246,8 @@ fn satellite(eccentricity: f64) -> RigidBody<3> {
     let law = Law::GravityGradient { strength: 3.0 * RATE * RATE, matrix };
     let term = Term { law, space: Vector::<3>::new(0.0, 0.0, 1.0) };
     let across = Vector::<3>::new(0.0, -1.0, 0.0);
-    let path = Path::Orbit { across, mean_motion: RATE, eccentricity, mean_anomaly: 0.0 };
+    let path =
+        Path::Orbit { across, mean_motion: RATE, eccentricity, mean_anomaly: 0.0, node_rate: 0.0 };
     body(SATELLITE, Vec::new()).with_driven_term(DrivenTerm {
         term,
         path,
