@@ -278,7 +278,7 @@ fn a_map_ends_with_the_tables() {
             scenario["scene"]["initial"] = start["initial"].clone();
         }
         let scene = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
-        let mut entries = vpd::study::usual_methods(&scene);
+        let mut entries = vpd::study::all_methods(&scene);
         entries.retain(|entry| {
             ["vpd_lagrangian gauss2", "rk_projected rk4"].contains(&entry.label().as_str())
         });
