@@ -401,8 +401,13 @@ impl<const N: usize> System<N> for RigidBody<N> {
         self.driven.turning_frame(self.terms.iter().map(|term| &term.space).chain(&own))
     }
 
-    fn observed_velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
-        Some(self.velocity(mu))
+    fn observed_velocity(&self, time_s: f64, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
+        // Motors change the momentum of the wheels between samples of a control.
+        let without_wheels = match self.wheels_at(Time::of(time_s)) {
+            None => *mu,
+            Some(wheels) => mu - wheels,
+        };
+        Some(self.velocity_without_wheels(&without_wheels))
     }
 
     fn energy_at(&self, t: f64, g: &Mat<N>, mu: &Mat<N>) -> Energy {

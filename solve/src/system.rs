@@ -36,9 +36,9 @@ pub trait System<const N: usize> {
         self.energy(g, mu)
     }
 
-    /// dH/dmu, the body angular velocity, for observers: for a Hamiltonian its `velocity`. `None`
+    /// dH/dmu at a time in seconds, the body angular velocity, for observers: for a Hamiltonian its `velocity`. `None`
     /// for a system that does not name it.
-    fn observed_velocity(&self, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
+    fn observed_velocity(&self, _time_s: f64, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
         None
     }
 

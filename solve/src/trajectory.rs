@@ -373,7 +373,9 @@ impl<const N: usize> Bookkeeping<N> {
         };
         let holds: Vec<bool> = stops
             .iter()
-            .map(|stop| stop.holds(time_s, &g, system.observed_velocity(&g, &mu), energy_error))
+            .map(|stop| {
+                stop.holds(time_s, &g, system.observed_velocity(time_s, &g, &mu), energy_error)
+            })
             .collect();
         let since = &mut self.reached.holds_since_s;
         since.resize(stops.len(), None);
@@ -513,7 +515,7 @@ impl<const N: usize> Observer<N> {
         // A scheme without an attitude serves free bodies, whose energy needs none.
         let g = attitude.unwrap_or_else(Mat::identity);
         let energy = asked.energy.then(|| system.energy_at(time_s, &g, &momentum));
-        let angular_velocity = system.observed_velocity(&g, &momentum);
+        let angular_velocity = system.observed_velocity(time_s, &g, &momentum);
         let pointing = (asked.pointing && attitude.is_some())
             .then(|| system.pointed(time_s, &g, angular_velocity.as_ref()?))
             .flatten();

@@ -226,6 +226,7 @@ impl Ensemble<'_> {
         let mut figures = vec![Figures::default(); numbers.len()];
         let per_point = self.planned.samples_per_waypoint(self.plan.samples);
         let mut ways = vec![Way::new(per_point); numbers.len()];
+        let mut velocities = vec![None; numbers.len()];
         let members = assembly.members.as_mut().expect("the plan of an ensemble has members");
         members.set_numbers(numbers);
         let trajectories = ensemble::integrate(
@@ -237,6 +238,7 @@ impl Ensemble<'_> {
             |m, sample| {
                 figures[m].keep(sample);
                 ways[m].keep(sample);
+                velocities[m] = sample.angular_velocity;
                 record(m, sample)
             },
             go_on,
@@ -248,7 +250,7 @@ impl Ensemble<'_> {
         let ends = ends.map(|(m, ((end, figures), way))| {
             assembly.stepper.set_member(numbers[m]);
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
-            let velocity = |momentum: &Mat<N>| assembly.body.velocity(momentum);
+            let begun = assembly.body.velocity(&starts[m].momentum);
             let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
                 &end.reached;
             let time_s = *step as f64 * self.plan.step_s;
@@ -260,13 +262,13 @@ impl Ensemble<'_> {
                     0.0,
                     Some(&starts[m].attitude),
                     &starts[m].momentum,
-                    Some(&velocity(&starts[m].momentum)),
+                    Some(&begun),
                 )),
                 last: Some(messages::State::at(
                     time_s,
                     attitude.as_ref(),
                     momentum,
-                    Some(&velocity(momentum)),
+                    velocities[m].as_ref(),
                 )),
                 figures: Some(figures),
                 samples: *samples,

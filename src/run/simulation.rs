@@ -351,7 +351,7 @@ impl<const N: usize> Carried for Body<N> {
 
     fn angular_velocity(&self) -> Vec<f64> {
         let State { attitude, momentum } = self.state();
-        let velocity = self.body.observed_velocity(&attitude, &momentum);
+        let velocity = self.body.observed_velocity(0.0, &attitude, &momentum);
         velocity.map_or_else(Vec::new, |omega| so::vee(&omega))
     }
 }

@@ -385,7 +385,6 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
     let before = origin.checkpoint.map_or(0, |found| found.step);
     let blown = Cell::new(false);
     let mut gauge = Gauge {
-        system,
         energy_limit,
         blown: &blown,
         keep,
@@ -432,8 +431,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
 }
 
 /// Takes the figures of each sample.
-struct Gauge<'a, Y: ?Sized> {
-    system: &'a Y,
+struct Gauge<'a> {
     energy_limit: f64,
     blown: &'a Cell<bool>,
     keep: bool,
@@ -446,7 +444,7 @@ struct Gauge<'a, Y: ?Sized> {
     least_sigma: Option<f64>,
 }
 
-impl<const N: usize, Y: System<N> + ?Sized> Sink<N> for Gauge<'_, Y> {
+impl<const N: usize> Sink<N> for Gauge<'_> {
     type Error = Infallible;
 
     fn record(&mut self, sample: &Sample<N>) -> Result<(), Infallible> {
@@ -455,8 +453,7 @@ impl<const N: usize, Y: System<N> + ?Sized> Sink<N> for Gauge<'_, Y> {
         self.series.push((sample.time_s, energy_error, orthogonality));
         self.blown.set(self.blown.get() || energy_error.abs() > self.energy_limit);
         let attitude = sample.attitude.unwrap_or_else(Mat::identity);
-        let velocity = self.system.observed_velocity(&attitude, &sample.momentum);
-        let rate = velocity.map_or(0.0, |velocity| size(&velocity));
+        let rate = sample.angular_velocity.as_ref().map_or(0.0, size);
         if rate > self.fastest.0 {
             self.fastest = (rate, self.series.len() - 1);
         }

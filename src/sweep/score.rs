@@ -42,13 +42,13 @@ impl<'a, const N: usize> Tally<'a, N> {
             }
         };
         match self {
-            Self::Largest(gauge, value) => kept(value, gauge.read(body, sample), f64::max),
-            Self::Smallest(gauge, value) => kept(value, gauge.read(body, sample), f64::min),
+            Self::Largest(gauge, value) => kept(value, gauge.read(sample), f64::max),
+            Self::Smallest(gauge, value) => kept(value, gauge.read(sample), f64::min),
             Self::FirstTime(gauge, Condition { above, below, .. }, time_s) => {
                 let beyond = |x: f64| {
                     above.is_some_and(|limit| x > limit) || below.is_some_and(|limit| x < limit)
                 };
-                if time_s.is_none() && gauge.read(body, sample).is_some_and(beyond) {
+                if time_s.is_none() && gauge.read(sample).is_some_and(beyond) {
                     *time_s = Some(sample.time_s);
                 }
             }
@@ -94,7 +94,7 @@ impl<const N: usize> Gauge<N> {
     }
 
     /// Returns the value at a sample; `None` without an attitude, where one is needed.
-    fn read(&self, body: &RigidBody<N>, sample: &Sample<N>) -> Option<f64> {
+    fn read(&self, sample: &Sample<N>) -> Option<f64> {
         match self {
             Self::Tilt { body, space } => {
                 let g = sample.attitude?;
@@ -107,7 +107,7 @@ impl<const N: usize> Gauge<N> {
                 };
                 Some(2.0 * libm::atan2(length(-1.0), length(1.0)))
             }
-            Self::AngularSpeed => Some(norm(&body.velocity(&sample.momentum))),
+            Self::AngularSpeed => sample.angular_velocity.as_ref().map(norm),
             Self::KineticEnergy => sample.energy.map(|energy| energy.kinetic),
             Self::AxisError => sample.pointing.map(|pointed| pointed.axis_error_rad),
         }
@@ -208,7 +208,8 @@ impl<'a, const N: usize> Shadow<'a, N> {
 
     /// Returns the length of a small difference of two states.
     fn length(&self, body: &RigidBody<N>, turn: &Mat<N>, momentum: &Mat<N>) -> f64 {
-        let velocity = norm(&body.velocity(momentum)) / self.rate_rad_s;
+        // Wheels have no part in a difference.
+        let velocity = norm(&body.velocity_rate(momentum)) / self.rate_rad_s;
         (so::inner(turn, turn) + velocity * velocity).sqrt()
     }
 

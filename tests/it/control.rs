@@ -15,7 +15,7 @@ use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
 use vpd::verify::verify;
 
-use crate::ensemble::ends;
+use crate::ensemble::{contents, ends};
 
 fn shipped(name: &str) -> Value {
     let path = format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"));
@@ -458,5 +458,76 @@ fn bad_control_is_refused_at_its_field() {
         };
         assert!(error.pointer.starts_with(at), "{pointer}: {error}");
         assert!(error.message.contains(words), "{pointer}: {error}");
+    }
+}
+
+/// Wheels turn the faster the longer a command acts: the angular velocity is that of the moment wherever it is shown, between
+/// samples of the control and with a delay, next to differences of the attitude.
+#[test]
+fn angular_velocities_are_those_of_the_moment() {
+    let place = tempfile::tempdir().expect("a directory");
+    for delay_s in [0.0, 0.05] {
+        let mut scenario = json!({
+            "name": "delay", "step_s": 0.005, "duration_s": 1.0, "log": {"every": 1},
+            "scene": {
+                "inertia": {"principal": [4.2, 3.6, 1.5]},
+                "control": {
+                    "every_s": 0.1, "delay_s": delay_s,
+                    "target": {"attitude": {"axis_angle": {"axis": [1, 2, -1], "angle_deg": 120}}},
+                    "laws": [{"attitude": {"gain_n_m": 0.08, "rate_gain_n_m_s": 0.8}}],
+                    "through": {"wheels": {"axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "moments_kg_m2": [0.002, 0.002, 0.002]}}
+                },
+                "initial": {"angular_velocity": {"body": [0.01, -0.02, 0.015]}}
+            }
+        });
+        let log = place.path().join(format!("{delay_s}.mcap"));
+        run(&scenario, &log, &Control::default()).expect("a log");
+        let mut seen = Vec::new();
+        read_samples(&log, |_, message| {
+            if let Message::State(state) = message {
+                seen.push((state.attitude.clone(), state.angular_velocity.clone()));
+            }
+        })
+        .expect("readable");
+        assert_eq!(seen.len(), 201);
+        let matrix = |rows: &[f64]| nalgebra::Matrix3::from_row_slice(rows);
+        for three in seen.windows(3) {
+            // log(g-^T g+) / 2 h is off by h^2 / 6 of the second rate, and by h of a jump of the first.
+            let turn = matrix(&three[0].0).transpose() * matrix(&three[2].0);
+            let differences = [
+                turn[(2, 1)] - turn[(1, 2)],
+                turn[(0, 2)] - turn[(2, 0)],
+                turn[(1, 0)] - turn[(0, 1)],
+            ];
+            for (shown, difference) in three[1].1.iter().zip(differences) {
+                let off = (shown - difference / (4.0 * 0.005)).abs();
+                assert!(off < 6e-5, "delay {delay_s}: {off:e}");
+            }
+        }
+        let size = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let largest = seen.iter().map(|(_, velocity)| size(velocity)).fold(0.0, f64::max);
+        // In the score of a sweep ..
+        let sweep = json!({
+            "scenario": scenario,
+            "vary": [{"pointer": "/scene/initial/angular_velocity/body/0", "values": {"list": [0.01]}}],
+            "scores": [{"name": "speed", "measure": {"largest": "angular_speed"}}]
+        });
+        fs::write(place.path().join("sweep.json"), sweep.to_string()).expect("written");
+        let swept = crate::cli::vpd(place.path(), &["sweep", "sweep.json", "--force"]);
+        assert_eq!(swept.status.code(), Some(0));
+        let table = fs::read_to_string(place.path().join("sweep.csv")).expect("a table");
+        let speed: f64 =
+            table.trim_end().rsplit(',').next().expect("a cell").parse().expect("a number");
+        assert!((speed - largest).abs() < 1e-12, "{speed} for {largest}");
+        // .. and at the end of a member.
+        scenario["ensemble"] =
+            json!({"members": 2, "seed": 1, "attitude_spread": 0.0, "momentum_spread": 0.0});
+        let log = place.path().join(format!("{delay_s} members.mcap"));
+        run(&scenario, &log, &Control::default()).expect("a log");
+        let members = contents(&log).members;
+        let last = members[0].last.as_ref().expect("a state");
+        for (member, run) in last.angular_velocity.iter().zip(&seen[200].1) {
+            assert!((member - run).abs() < 1e-12, "{member} for {run}");
+        }
     }
 }

@@ -54,8 +54,8 @@ fn run(scenario: &Scenario, log: &Path) -> Summary {
 
 /// Contents of the log of an ensemble.
 #[derive(Default)]
-struct Contents {
-    members: Vec<Member>,
+pub(crate) struct Contents {
+    pub(crate) members: Vec<Member>,
     statistics: Vec<EnsembleStatistics>,
     /// The last state on each topic of states.
     states: BTreeMap<u64, State>,
@@ -65,7 +65,7 @@ struct Contents {
     times: Vec<u64>,
 }
 
-fn contents(log: &Path) -> Contents {
+pub(crate) fn contents(log: &Path) -> Contents {
     let mut found = Contents::default();
     let ending = reader::read(log, |item| {
         if let Item::Message { topic, data, time_ns, .. } = item {
