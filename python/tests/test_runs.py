@@ -11,7 +11,7 @@ from conftest import SCENARIOS
 
 import vpdsim as vpd
 
-SHIPPED = ["chain", "detumble", "dipole", "dual-spin", "flyby", "free-body", "heavy-top", "pendulum", "satellite", "slew", "so4-free", "so5-spring", "tether"]
+SHIPPED = ["chain", "detumble", "dipole", "cubesat", "dual-spin", "flyby", "free-body", "heavy-top", "nutation-damper", "pendulum", "satellite", "slew", "so4-free", "so5-spring", "tether"]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
