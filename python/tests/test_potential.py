@@ -105,7 +105,7 @@ def test_mistakes_are_named():
         ({"/method": {"name": "rk_projected"}}, "/method/name"),
         ({"/scene/torques": [{"constant": {"body": [0, 0, 1]}}]}, "/scene"),
         ({"/derivatives": {"state": True}}, "/derivatives"),
-        ({"/ensemble": {"members": 3, "seed": 1, "attitude_spread": 0.1}}, "/ensemble"),
+        ({"/ensemble": {"members": 3, "seed": 1, "attitude_spread_rad": 0.1}}, "/ensemble"),
     ]:
         with pytest.raises(vpd.ScenarioError) as refused:
             vpd.run(top(0.0), set=change, potential=Weight(1.0, POINT))

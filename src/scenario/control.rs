@@ -6,7 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::driven::{apart, orbit_frame};
-use super::range::{Check, LARGEST_SEED, attitude, direction, ensure, number, strength};
+use super::range::{
+    Check, LARGEST_SEED, attitude, direction, ensure, limit, number, only_three, strength,
+};
 use super::{Attitude, FieldOrbit, Scenario, Turning};
 
 /// Control by samples: every so often the attitude and the angular velocity are read, a command computed, and held until the next
@@ -577,19 +579,6 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
         })?;
     }
     Ok(())
-}
-
-/// Checks a limit: above zero, or not below it.
-pub(super) fn limit(pointer: &str, given: Option<f64>, or_zero: bool) -> Check {
-    let Some(x) = given else { return Ok(()) };
-    strength(pointer, x)?;
-    ensure(x > 0.0 || or_zero && x == 0.0, pointer, || {
-        format!("{x:?} given, it must be {} 0", if or_zero { "at least" } else { "above" })
-    })
-}
-
-pub(super) fn only_three(pointer: &str, n: usize) -> Check {
-    ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}"))
 }
 
 pub(super) fn plane(at: &str, from: &[f64; 3], towards: &[f64; 3]) -> Check {

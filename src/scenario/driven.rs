@@ -3,9 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::control::only_three;
 use super::range::{
-    Check, direction, ensure, framed, largest, matrix, number, size, strength, symmetry,
+    Check, direction, ensure, framed, largest, matrix, number, only_three, size, strength, symmetry,
 };
 use super::term::PotentialTerm;
 use super::{Drag, Entry, Framed, Oblateness, SolarPressure};

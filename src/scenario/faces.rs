@@ -3,9 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::control::{limit, only_three};
 use super::driven::Factor;
-use super::range::{Check, direction, ensure, point};
+use super::range::{Check, direction, ensure, limit, only_three, point};
 use super::{FieldOrbit, Table};
 
 /// The torque of thin air on flat faces, for n = 3. A face counts where it looks into the stream: `F = -1/2 density coefficient area

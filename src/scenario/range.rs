@@ -271,3 +271,16 @@ pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
         }
     }
 }
+
+/// Checks a limit: above zero, or not below it.
+pub(super) fn limit(pointer: &str, given: Option<f64>, or_zero: bool) -> Check {
+    let Some(x) = given else { return Ok(()) };
+    strength(pointer, x)?;
+    ensure(x > 0.0 || or_zero && x == 0.0, pointer, || {
+        format!("{x:?} given, it must be {} 0", if or_zero { "at least" } else { "above" })
+    })
+}
+
+pub(super) fn only_three(pointer: &str, n: usize) -> Check {
+    ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}"))
+}

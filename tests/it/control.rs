@@ -520,8 +520,7 @@ fn angular_velocities_are_those_of_the_moment() {
             table.trim_end().rsplit(',').next().expect("a cell").parse().expect("a number");
         assert!((speed - largest).abs() < 1e-12, "{speed} for {largest}");
         // .. and at the end of a member.
-        scenario["ensemble"] =
-            json!({"members": 2, "seed": 1, "attitude_spread": 0.0, "momentum_spread": 0.0});
+        scenario["ensemble"] = json!({"members": 2, "seed": 1, "attitude_spread_rad": 0.01});
         let log = place.path().join(format!("{delay_s} members.mcap"));
         run(&scenario, &log, &Control::default()).expect("a log");
         let members = contents(&log).members;
