@@ -82,12 +82,14 @@ fn a_run_through_air_and_light_ends_where_another_program_has_it() {
     ] {
         let [(coarse, _), (fine, balance)] = [1.0, 0.1].map(|step_s| error(step_s, method.clone()));
         println!("{method}: {coarse:e} in steps of 1 s, {fine:e} of 0.1 s; balance {balance:e} J");
-        assert!(coarse < 2e-6 && fine < 2e-8, "{method}: {coarse:e}, {fine:e}");
+        // By the square of the step: the faces of a tumbling body turn edge-on again and again.
+        assert!(coarse < 3e-3 && fine < 3e-5, "{method}: {coarse:e}, {fine:e}");
+        assert!(coarse / fine > 30.0, "{method}: {coarse:e}, {fine:e}");
         assert!(balance < 1e-12, "{method}: {balance:e}");
     }
 }
 
-/// Interrupted or not, the CubeSat has the same bytes, which `verify` repeats; so has its ensemble, of which one member is the run itself.
+/// Interrupted or not, the CubeSat has the same bytes, which `verify` repeats; its ensemble has it as a member, to rounding.
 #[test]
 fn the_cubesat_has_the_same_bytes_again() {
     let place = tempfile::tempdir().expect("a directory");
@@ -122,7 +124,10 @@ fn the_cubesat_has_the_same_bytes_again() {
     let log = place.path().join("many.mcap");
     let many = run(&scenario, &log, &Control::default()).expect("a log");
     assert_eq!(many.ensemble.expect("an ensemble").succeeded, 9);
-    assert_eq!(many.last, summary.last);
+    // Side by side the sums over the stages are in another order.
+    let [a, b] = [many.last, summary.last].map(|last| last.attitude.expect("computed").concat());
+    let apart = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-12, "{apart:e}");
 }
 
 /// The plan says what acts and what the balance counts, and drag without an orbit of its own takes that of the field.
@@ -167,8 +172,8 @@ fn the_node_drifts_by_oblateness() {
     let (j2, radius) = (1.08263e-3, 6378137.0);
     let ratio: f64 = radius / (a * (1.0 - e * e));
     let drift = -1.5 * n * j2 * ratio * ratio * i.cos();
-    // Westwards, about four and a half degrees a day.
-    assert!((drift * 86400.0 / TAU * 360.0 + 4.5).abs() < 0.3, "{drift:e}");
+    // Westwards, about four degrees a day.
+    assert!((drift * 86400.0 / TAU * 360.0 + 4.06).abs() < 0.01, "{drift:e}");
     let place_at = |t: f64| {
         let anomaly = (0..60).fold(n * t, |anomaly: f64, _| n * t + e * anomaly.sin());
         let (x, y) = (a * (anomaly.cos() - e), a * (1.0 - e * e).sqrt() * anomaly.sin());
@@ -246,7 +251,7 @@ fn a_wheel_with_friction_damps_nutation() {
     // Of the same body with h' = -c w at all times: DOP853 of SciPy 1.17.1, tolerance 1e-13:
     //   J, j, c = np.array([100, 105, 150]), 2, 1; K = J - [j, 0, 0]; a = [1, 0, 0]
     //   Omega = (mu - a h) / K; mu' = cross(mu, Omega); h' = -c (h / j - Omega[0]), h(0) = j Omega[0](0)
-    let errors = [0.1, 0.05].map(|every_s| {
+    let [coarse, fine] = [0.1, 0.05].map(|every_s| {
         let mut scenario = scenario.clone();
         scenario["scene"]["control"]["every_s"] = json!(every_s);
         scenario["step_s"] = json!(every_s);
@@ -261,12 +266,22 @@ fn a_wheel_with_friction_damps_nutation() {
             }
         })
         .expect("a log");
-        let end = FRICTION_END.iter().zip(&last).map(|(a, b)| (a - b).abs());
-        end.fold(0.0, f64::max)
+        <[f64; 3]>::try_from(last).expect("three numbers")
     });
-    println!("from continuous friction {errors:?}");
-    let ratio = errors[0] / errors[1];
-    assert!((1.9..2.1).contains(&ratio) && errors[1] < 0.05, "{errors:?}");
+    let off = |end: [f64; 3]| {
+        let apart = end.iter().zip(FRICTION_END).map(|(a, b)| (a - b).abs());
+        apart.fold(0.0, f64::max)
+    };
+    let (ratio, limit) =
+        (off(coarse) / off(fine), std::array::from_fn(|k| 2.0 * fine[k] - coarse[k]));
+    println!(
+        "{:e} and {:e} from continuous friction, {:e} in the limit",
+        off(coarse),
+        off(fine),
+        off(limit)
+    );
+    // To the first order, and what is left of the second: of a momentum of 151.
+    assert!((1.9..2.1).contains(&ratio) && off(fine) < 0.1 && off(limit) < 5e-3);
 }
 
 /// The body momentum after 100 s.
