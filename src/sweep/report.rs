@@ -152,10 +152,9 @@ impl Sweep {
         // Of each member that has a line, by columns; NaN where there is no number.
         let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); self.columns.len()];
         let mut counts = Counts::default();
-        let mut read = 0;
+        let mut succeeded = Vec::new();
         self.lines(table, |_, _, cells| {
-            read += 1;
-            let succeeded = match cells[outcome].as_str() {
+            let has = match cells[outcome].as_str() {
                 "succeeded" => {
                     counts.succeeded += 1;
                     true
@@ -169,15 +168,21 @@ impl Sweep {
                     false
                 }
             };
+            succeeded.push(has);
             for (at, (column, cell)) in numbers.iter_mut().zip(cells).enumerate() {
-                let counts = succeeded || fields.contains(&at);
+                let counts = has || fields.contains(&at);
                 let number = cell.parse::<f64>().ok().filter(|x| counts && x.is_finite());
                 column.push(number.unwrap_or(f64::NAN));
             }
         })?;
+        let read = succeeded.len();
+        // The others of Saltelli's members share values with these: an interval counts on runs that do not.
+        let kinds = self.file.vary.len() + 2;
+        let is_own = |k: &usize| self.file.combine != Combine::Saltelli || k % kinds < 2;
         let mut columns = Vec::new();
         for at in outcome + 2..self.columns.len() {
-            let known: Vec<usize> = (0..read).filter(|&k| !numbers[at][k].is_nan()).collect();
+            let known = (0..read).filter(is_own).filter(|&k| !numbers[at][k].is_nan());
+            let known: Vec<usize> = known.collect();
             let values: Vec<f64> = known.iter().map(|&k| numbers[at][k]).collect();
             let mut rising = values.clone();
             rising.sort_by(f64::total_cmp);
@@ -216,11 +221,12 @@ impl Sweep {
         let probability = |holds: &Holds| {
             let at = place(&holds.column).unwrap_or_default();
             let limit = holds.limit;
-            let met = |x: &&f64| if holds.below { **x < limit } else { **x > limit };
-            let met = numbers[at].iter().filter(met).count() as u64;
-            (counts.succeeded > 0).then(|| Probability {
+            let met = |x: f64| if holds.below { x < limit } else { x > limit };
+            let met = (0..read).filter(is_own).filter(|&k| met(numbers[at][k])).count() as u64;
+            let own = (0..read).filter(is_own).filter(|&k| succeeded[k]).count() as u64;
+            (own > 0).then(|| Probability {
                 holds: holds.clone(),
-                part: proportion(met, counts.succeeded, asked.confidence),
+                part: proportion(met, own, asked.confidence),
             })
         };
         let probabilities = asked.holds.iter().filter_map(probability).collect();
