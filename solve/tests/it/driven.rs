@@ -255,7 +255,6 @@ fn orders_of_state_and_balance() {
     law::<3, Three>("pushed", &pushed());
     law::<4, Four>("pushed", &pushed());
     law::<3, Three>("in streams", &in_streams());
-    law::<4, Four>("in streams", &in_streams());
     law::<3, Three>("wheels", &with_wheels());
     law::<4, Four>("wheels", &with_wheels());
 }
