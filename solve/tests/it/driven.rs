@@ -229,7 +229,7 @@ fn orders_of_state_and_balance() {
                 3 => 250,
                 4 => 48,
                 2 => 16,
-                6 => 8,
+                6 => 6,
                 _ => 4,
             };
             let [(a, work_a), (b, work_b)] =
