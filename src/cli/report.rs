@@ -5,10 +5,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{CliError, SchemaOf, Status, hinted, named_after, print_json, show};
-use crate::scenario::read_text;
+use super::{CliError, Status, named_after, print_json, show};
 use crate::sweep::statistics::Figure;
-use crate::sweep::{Asked, Holds, Report, Sweep, SweepError};
+use crate::sweep::{Asked, Holds, Report};
 
 #[derive(Debug, Args)]
 pub(super) struct ReportArgs {
@@ -46,14 +45,7 @@ fn part(text: &str) -> Result<f64, String> {
 
 pub(super) fn report(args: &ReportArgs) -> Result<Status, CliError> {
     let path = &args.sweep;
-    let sweep = Sweep::read(path).map_err(|error| match error {
-        SweepError::Field(error) => {
-            let text = std::fs::File::open(path).and_then(read_text).unwrap_or_default();
-            let source = hinted(error, &text, SchemaOf::Sweep);
-            CliError::Sweep { path: path.clone(), source }
-        }
-        other => other.into(),
-    })?;
+    let sweep = super::sweep::read(path)?;
     let table = match &args.table {
         Some(table) => table.clone(),
         None => named_after(path, "csv")?,

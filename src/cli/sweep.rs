@@ -85,17 +85,22 @@ pub(super) struct MergeArgs {
     force: bool,
 }
 
-/// Makes a table or a part of one, or looks at one member.
-pub(super) fn sweep(args: &SweepArgs) -> Result<Status, CliError> {
-    let path = &args.sweep;
-    let sweep = Sweep::read(path).map_err(|error| match error {
+/// Reads a sweep; what else the file may be is said in the error.
+pub(super) fn read(path: &Path) -> Result<Sweep, CliError> {
+    Sweep::read(path).map_err(|error| match error {
         SweepError::Field(error) => {
             let text = std::fs::File::open(path).and_then(read_text).unwrap_or_default();
             let source = hinted(error, &text, SchemaOf::Sweep);
-            CliError::Sweep { path: path.clone(), source }
+            CliError::Sweep { path: path.to_owned(), source }
         }
         other => other.into(),
-    })?;
+    })
+}
+
+/// Makes a table or a part of one, or looks at one member.
+pub(super) fn sweep(args: &SweepArgs) -> Result<Status, CliError> {
+    let path = &args.sweep;
+    let sweep = read(path)?;
     if let Some(member) = args.member {
         return one(args, &sweep, member);
     }
