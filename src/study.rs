@@ -30,7 +30,7 @@ pub(crate) mod spread;
 pub mod stability;
 pub mod table;
 
-use measure::Probe;
+use measure::{Probe, Rates};
 use reference::ReferenceError;
 
 /// Reason why a study has no result.
@@ -296,7 +296,10 @@ impl Scales {
         const MOST_STEPS: f64 = 5000.0;
         /// Angle of a step that a method of eighth order takes easily, rad.
         const EASY_TURN_RAD: f64 = 0.25;
-        let rate = measure::initial_rate(scene)?.max(1.0 / time_s);
+        /// Step times rate of damping that it takes easily: a Gauss method damps nothing in steps far above one.
+        const EASY_DAMPING: f64 = 1.0;
+        let Rates { turn_rad_s, damping_per_s } = measure::initial_rates(scene)?;
+        let rate = turn_rad_s.max(1.0 / time_s).max(EASY_TURN_RAD / EASY_DAMPING * damping_per_s);
         let mut step_s = (EASY_TURN_RAD / rate).min(time_s);
         for _ in 0..40 {
             let steps = (time_s / step_s).ceil().clamp(1.0, MOST_STEPS) as u64;
@@ -342,6 +345,6 @@ pub(crate) fn nearest_sigma(scene: &Scenario, time_s: f64) -> Result<Option<f64>
 fn usual_time(scene: &Scenario) -> Result<f64, ScenarioError> {
     let plan = Plan::new(scene)?;
     let duration_s = plan.steps as f64 * plan.step_s;
-    let rate = measure::initial_rate(scene)?;
+    let rate = measure::initial_rates(scene)?.turn_rad_s;
     Ok(duration_s.min(if rate > 0.0 { std::f64::consts::TAU / rate } else { duration_s }))
 }

@@ -474,25 +474,39 @@ fn size<const N: usize>(x: &Mat<N>) -> f64 {
     so::inner(x, x).sqrt()
 }
 
-/// Returns a first guess of how fast a scene moves, in rad/s: the larger of its velocity at the
-/// start and the root of its acceleration there.
-pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
-    struct Rate;
-    impl Task for Rate {
-        type Output = f64;
+/// How fast a scene changes.
+pub(crate) struct Rates {
+    /// A first guess of how fast it moves, in rad/s: the larger of its velocity at the start and the root of its
+    /// acceleration there.
+    pub(crate) turn_rad_s: f64,
+    /// How fast torques damp it, in 1/s.
+    pub(crate) damping_per_s: f64,
+}
 
-        fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
-            rate_at(&assembly.body, &assembly.initial)
+/// Returns how fast a scene changes at its start.
+///
+/// # Errors
+/// If the scene cannot be planned.
+pub(crate) fn initial_rates(scene: &Scenario) -> Result<Rates, ScenarioError> {
+    struct AtStart;
+    impl Task for AtStart {
+        type Output = Rates;
+
+        fn perform<const N: usize>(self, assembly: Assembly<N>) -> Rates {
+            let Assembly { body, initial, .. } = assembly;
+            let turn_rad_s = rate_at(&body, &initial);
+            Rates { turn_rad_s, damping_per_s: body.damping_rate() }
         }
     }
     let plan = variant(scene, &Method::default(), 1.0, 1)?;
     if scene.bodies().is_some() {
-        return Ok(assembled_bodies(&plan, bodies::Rate));
+        let turn_rad_s = assembled_bodies(&plan, bodies::Rate);
+        return Ok(Rates { turn_rad_s, damping_per_s: 0.0 });
     }
-    Ok(assembled(&plan, Rate))
+    Ok(assembled(&plan, AtStart))
 }
 
-/// Returns the same at a state.
+/// Returns the first guess of how fast a body moves, in rad/s, from a state.
 pub(crate) fn rate_at<const N: usize>(body: &RigidBody<N>, state: &State<N>) -> f64 {
     let mut seen = Vec::new();
     body.seen_from(&state.attitude, &mut seen);

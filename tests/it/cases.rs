@@ -49,6 +49,34 @@ fn bodies_at_rest_set_off_or_stay() {
     assert!((momentum(&summary)[2] + 1e-10).abs() < 1e-15, "{:?}", summary.last);
 }
 
+/// Motions that torques damp much faster than the body turns: implicit methods hardly damp in steps that pass over it.
+#[test]
+fn accuracies_see_what_damps_faster_than_it_turns() {
+    let of_momentum = json!({ "of_momentum": { "rate_per_s": 10.0 } });
+    // Next to a moment of 1.5 kg m^2.
+    let viscous = json!({ "viscous": { "coefficient": 12.0 } });
+    for (torque, rate) in [(of_momentum, 10.0), (viscous, 8.0)] {
+        for (velocity, duration_s) in [(1e-15, 80.0), (1e-5, 60.0), (1e-5, 80.0), (0.1, 40.0)] {
+            let scene = json!({
+                "name": "damped",
+                "scene": {
+                    "inertia": { "principal": [1.2, 1.5, 0.9] },
+                    "torques": [torque.clone()],
+                    "initial": { "angular_velocity": { "body": [0, velocity, 0] } },
+                },
+                "accuracy": { "error": 1e-8 },
+                "duration_s": duration_s,
+            });
+            let summary = ended(&scene.to_string());
+            // w e^(-rate t) about a fixed axis
+            let turned = velocity / rate * -libm::expm1(-rate * duration_s);
+            let found = summary.last.attitude.expect("of one body")[0][2];
+            let error = (found - libm::sin(turned)).abs();
+            assert!(error <= 1e-8, "{velocity} rad/s, {duration_s} s: {found} for {turned}");
+        }
+    }
+}
+
 /// Bodies at rest wherever one may stand: of every n, in an ensemble, next to derivatives and under control.
 #[test]
 fn what_rests_sets_off_or_stays_in_every_kind_of_scene() {

@@ -538,6 +538,17 @@ impl<const N: usize> RigidBody<N> {
         self
     }
 
+    /// The largest rate at which torques damp the momentum, in 1/s, or a little more: of a viscous one
+    /// `max c_ij max |J^-1_ij|`.
+    pub fn damping_rate(&self) -> f64 {
+        let rates = self.driven.torques.iter().map(|torque| match torque {
+            Torque::Viscous(coefficients) => coefficients.amax() * self.mobility(),
+            Torque::OfMomentum(rate) => rate.abs(),
+            Torque::Body(_) | Torque::Space(_) | Torque::Table { .. } | Torque::Faces(_) => 0.0,
+        });
+        rates.sum()
+    }
+
     /// Does its energy change with time, or by torques that are no potential's?
     pub fn is_driven(&self) -> bool {
         !self.driven.is_empty()

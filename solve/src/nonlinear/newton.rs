@@ -17,6 +17,8 @@ const MAX_PRODUCTS: usize = 60;
 /// Length of a difference, for unknowns of size one: the errors by rounding and by curvature are
 /// then about equal.
 const DIFFERENCE: f64 = 1e-7;
+/// Part of the residual at most that a correction leaves where it makes the increment larger.
+const FALLS: f64 = 0.1;
 /// Number of times a correction is halved before it is abandoned.
 const HALVINGS: u32 = 8;
 
@@ -84,20 +86,25 @@ impl Newton {
         }
     }
 
-    /// Goes from z to z + d and sweeps; halves d while that makes the increment larger.
+    /// Goes from z to z + d and sweeps; halves d while that makes the increment larger. An increment is of some unknowns
+    /// alone: it may rise while what is left of all falls.
     fn corrected(
         &mut self,
         equations: &mut dyn Equations,
         before: f64,
         history: &History,
     ) -> Result<f64, Failure> {
+        let left = norm(&self.residual);
         for _ in 0..=HALVINGS {
             self.image.clear();
             self.image.extend(self.at.iter().zip(&self.correction).map(|(z, d)| z + d));
             equations.set(&self.image);
             match equations.sweep() {
                 // Near round-off an increment may rise a little.
-                Ok(increment) if increment <= before.max(equations.floor()) => {
+                Ok(increment)
+                    if increment <= before.max(equations.floor())
+                        || self.left_at_image(equations) <= FALLS * left =>
+                {
                     std::mem::swap(&mut self.at, &mut self.image);
                     return Ok(increment);
                 }
@@ -106,6 +113,14 @@ impl Newton {
             }
         }
         Err(history.failure(FailureCode::Diverged, before))
+    }
+
+    /// `|G(z) - z|` of the image, the equations standing at its G(z).
+    fn left_at_image(&mut self, equations: &dyn Equations) -> f64 {
+        self.residual.clear();
+        equations.unknowns(&mut self.residual);
+        self.residual.iter_mut().zip(&self.image).for_each(|(r, z)| *r -= z);
+        norm(&self.residual)
     }
 
     /// Solves `(I - G'(z)) d = G(z) - z` for the correction d.

@@ -167,7 +167,7 @@ impl Vectors {
         stages: impl Iterator<Item = (State<3>, Mat<3>)>,
     ) -> bool {
         self.given.start = start;
-        let Given { columns, rows, weights, attitude, momentum, velocity, .. } = &mut self.given;
+        let Given { attitude, momentum, velocity, .. } = &mut self.given;
         let mut count = 0;
         for (k, (stage, omega)) in stages.take(self.stages).enumerate() {
             let (mu, omega) = (so3::vee(&stage.momentum), so3::vee(&omega));
@@ -180,9 +180,12 @@ impl Vectors {
             }
             count += 1;
         }
-        if count < self.stages {
-            return false;
-        }
+        count == self.stages && self.differentiate_given(h)
+    }
+
+    /// Differentiates the step of the stages that are given. Whoever hands them over is compiled for each n; this is not.
+    fn differentiate_given(&mut self, h: f64) -> bool {
+        let Given { columns, rows, weights, .. } = &mut self.given;
         for j in 0..WIDTH {
             weights[j] = h * self.weights[j];
             for k in 0..WIDTH {

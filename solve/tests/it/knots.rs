@@ -7,7 +7,7 @@ use vpd_solve::failure::FailureCode;
 use vpd_solve::hamiltonian::{
     DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, Torque,
 };
-use vpd_solve::nonlinear::StopRule;
+use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
@@ -361,6 +361,26 @@ fn bodies_at_rest_stay_and_set_off() {
     law::<3>(|method| (method.three)());
     law::<4>(|method| (method.beyond.as_ref().expect("any n").0)());
     law::<5>(|method| (method.beyond.as_ref().expect("any n").1)());
+}
+
+/// Where a ramp sets a body off, some unknowns are solved long before the rest: Newton's method goes on for these.
+#[test]
+fn newtons_method_alone_sets_a_body_off() {
+    let ramp = table(&[0.0, 0.5, 1.0], &[0.0, 0.0, 1.0], Interpolation::Linear);
+    let body = RigidBody::<3>::new(Kinetic::of_moments([1.0, 1.0, 1.5]), Vec::new(), 0.0);
+    let body = pushed(body, about_z(), false, ramp);
+    let start = State { attitude: Mat::identity(), momentum: Mat::zeros() };
+    let stop = StopRule { rungs: Rungs::Newton, ..StopRule::default() };
+    for stages in 1..=8 {
+        for steps in [10, 50, 100, 125, 250, 1000] {
+            let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
+            let (_, end) = run(&body, &mut Vpd::<3>::new(tableau, stop), &start, (1.0, steps));
+            let name = format!("{stages} stages, {steps} steps");
+            assert_eq!(end.ending, Ending::Completed, "{name}");
+            let found = end.reached.momentum[(1, 0)];
+            assert!((found - 0.25).abs() <= 1e-15 * steps as f64, "{name}: {found}");
+        }
+    }
 }
 
 /// A momentum that falls by ten a second for 80 s ends below the smallest number, and no step on the way fails.
