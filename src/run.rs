@@ -312,10 +312,7 @@ fn run<const N: usize>(
     let mut reached = Reached::from(&reached);
     reached.derivatives = derivatives;
     let stopped = match ending {
-        Ending::Stopped(number) => plan.asked.until.get(number).map(|stop| {
-            let time_s = steps_done as f64 * plan.step_s;
-            format!("{stop} at t = {time_s:.9} s (/until/{number})")
-        }),
+        Ending::Stopped(number) => stopped(plan, number, steps_done as f64 * plan.step_s),
         _ => None,
     };
     let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy };
@@ -326,6 +323,12 @@ fn run<const N: usize>(
         wall_s: begun.elapsed().as_secs_f64(),
         ..summary
     })
+}
+
+/// Returns which condition stopped a run, and when, in words.
+fn stopped(plan: &Plan, number: usize, time_s: f64) -> Option<String> {
+    let stop = plan.asked.until.get(number)?;
+    Some(format!("{stop} at t = {time_s:.9} s (/until/{number})"))
 }
 
 /// Returns how a run ended, with the diagnosis of a step that failed; `None` if it was cut off, and goes on later.

@@ -1,7 +1,7 @@
 //! Members of an ensemble, carried forward together.
 //!
 //! Invariant: a member makes the steps of its own run, to the bit, whatever members go next to it; one that fails stays where
-//! it was, and the others go on.
+//! it was, one that a condition stops stays there, and the others go on.
 
 use super::failure::Failure;
 use super::hamiltonian::RigidBody;
@@ -9,6 +9,7 @@ use super::lanes::WIDTH;
 use super::nonlinear::Convergence;
 use super::state::State;
 use super::stepper::{Knots, Stepper};
+use super::system::System;
 use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, Trajectory};
 
 /// A few members of an ensemble that take each step together.
@@ -142,6 +143,9 @@ pub fn integrate<const N: usize, E>(
         });
         step += 1;
         for &m in &going {
+            if !body.stops().is_empty() {
+                bookkeeping[m].look_for_a_stop(body, members.member(m));
+            }
             if !bookkeeping[m].goes_on() {
                 sample(m, &mut bookkeeping[m], members)?;
             }

@@ -358,7 +358,11 @@ impl<const N: usize> Bookkeeping<N> {
     }
 
     /// Ends the trajectory after a step if one of the conditions of the system has held for as long as it asks.
-    fn look_for_a_stop<Y: System<N> + ?Sized>(&mut self, system: &Y, stepper: &dyn Stepper<N, Y>) {
+    pub(super) fn look_for_a_stop<Y: System<N> + ?Sized>(
+        &mut self,
+        system: &Y,
+        stepper: &dyn Stepper<N, Y>,
+    ) {
         let stops = system.stops();
         if stops.is_empty() || !self.goes_on() {
             return;

@@ -36,7 +36,7 @@ mod way;
 use statistics::{Ends, Spread};
 use way::Way;
 
-/// Outcome of a member that made all its steps.
+/// Outcome of a member that made all its steps, or was stopped by a condition.
 const SUCCEEDED: &str = "succeeded";
 
 /// A run of an ensemble that writes its log.
@@ -101,8 +101,12 @@ impl Ensemble<'_> {
         let reached = reached(&assembly.initial, nominal);
         let first = nominal.and_then(|end| end.initial.as_ref()?.point());
         let first = first.unwrap_or_else(|| reached.state());
+        let stopped = nominal.and_then(|end| {
+            let time_s = end.last.as_ref()?.time_s;
+            super::stopped(plan, end.stopped_by? as usize, time_s)
+        });
         let end = End {
-            stopped: None,
+            stopped,
             outcome,
             energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached: Reached::from(&reached),
@@ -276,6 +280,10 @@ impl Ensemble<'_> {
                 solver: convergence.map(Into::into),
                 diagnosis,
                 way: Some(way.points()),
+                stopped_by: match end.ending {
+                    Ending::Stopped(number) => u32::try_from(number).ok(),
+                    _ => None,
+                },
             }
         });
         let ends = ends.collect();

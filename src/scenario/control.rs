@@ -539,14 +539,6 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
     const MOST: usize = 100;
     let count = scenario.until.len();
     ensure(count <= MOST, "/until", || format!("{count} given, at most {MOST} are allowed"))?;
-    ensure(count == 0 || scenario.ensemble.is_none(), "/until", || {
-        "the members of an ensemble all run to their end; take out `until`, or the ensemble"
-            .to_owned()
-    })?;
-    ensure(count == 0 || scenario.accuracy.is_none(), "/until", || {
-        "an accuracy is one of the end of the whole run; give `method` and `step_s` instead"
-            .to_owned()
-    })?;
     for (index, stop) in scenario.until.iter().enumerate() {
         let at = format!("/until/{index}");
         let given = [

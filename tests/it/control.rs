@@ -134,6 +134,45 @@ fn members_have_controllers_of_their_own() {
     assert_eq!(many.last, single.last);
 }
 
+/// Members under control stop where they point, each with its own controller; the choice for an accuracy is that of the whole
+/// duration, as if there were no stop.
+#[test]
+fn a_stop_stands_next_to_an_ensemble_and_an_accuracy() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = place.path().join("log.mcap");
+    let single = run(&shipped("slew"), &log, &Control::default()).expect("a log");
+    let mut many = shipped("slew");
+    many["ensemble"] = json!({ "members": 12, "seed": 3, "attitude_spread_rad": 0.3 });
+    let summary = run(&many, &log, &Control::default()).expect("a log");
+    assert_eq!((summary.stopped, summary.last), (single.stopped, single.last));
+    let reported = summary.ensemble.expect("an ensemble");
+    assert_eq!(reported.stopped.get("/until/0"), Some(&12));
+    let members = contents(&log).members;
+    let steps: std::collections::BTreeSet<u64> = members.iter().map(|end| end.steps).collect();
+    assert!(steps.len() > 6, "{steps:?}");
+    assert!(verify(&log).expect("verified").same);
+    let bytes = fs::read(&log).expect("a log");
+    run(&many, &log, &Control::default()).expect("a log");
+    assert!(fs::read(&log).expect("a log") == bytes);
+
+    let mut scenario = shipped("slew");
+    let fields = scenario.as_object_mut().expect("an object");
+    for name in ["step_s", "method", "log"] {
+        fields.remove(name);
+    }
+    fields.insert("duration_s".to_owned(), json!(40));
+    fields.insert("accuracy".to_owned(), json!({ "error": 1e-6 }));
+    fields.insert("until".to_owned(), json!([{ "pointing_error_below_rad": 1.5 }]));
+    let stops = advise::plan(&accepted(&scenario)).expect("a plan");
+    let summary = run(&scenario, &log, &Control::default()).expect("a log");
+    assert!(summary.stopped.is_some() && summary.time_s < 40.0, "{summary:?}");
+    assert!(verify(&log).expect("verified").same);
+    scenario.as_object_mut().expect("an object").remove("until");
+    let goes_on = advise::plan(&accepted(&scenario)).expect("a plan");
+    assert_eq!((stops.step_s, stops.steps), (goes_on.step_s, goes_on.steps));
+    assert_eq!(stops.formulation.method, goes_on.formulation.method);
+}
+
 /// Each member of an ensemble has noise of its own, whatever members run next to it: that of a single run with its stream. The
 /// log says which torque it was.
 #[test]
