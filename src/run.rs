@@ -284,7 +284,7 @@ fn run<const N: usize>(
         &mut recorder,
         |steps| control.go_on(steps),
     );
-    let Trajectory { ending, reached } = match end {
+    let Trajectory { ending, reached, time_s } = match end {
         Ok(end) => end,
         Err(error) => return Err(recorder.keep.left(error)),
     };
@@ -312,10 +312,11 @@ fn run<const N: usize>(
     let mut reached = Reached::from(&reached);
     reached.derivatives = derivatives;
     let stopped = match ending {
-        Ending::Stopped(number) => stopped(plan, number, steps_done as f64 * plan.step_s),
+        Ending::Stopped(number) => stopped(plan, number, time_s),
         _ => None,
     };
-    let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy };
+    let ends_s = Some(time_s);
+    let end = End { outcome, reached, ends_s, diagnosis, stopped, ensemble: None, energy };
     let summary = finish(Asked::of(plan), context.log, keep.writer(), (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,

@@ -101,12 +101,12 @@ impl Ensemble<'_> {
         let reached = reached(&assembly.initial, nominal);
         let first = nominal.and_then(|end| end.initial.as_ref()?.point());
         let first = first.unwrap_or_else(|| reached.state());
-        let stopped = nominal.and_then(|end| {
-            let time_s = end.last.as_ref()?.time_s;
-            super::stopped(plan, end.stopped_by? as usize, time_s)
-        });
+        let ends_s = nominal.and_then(|end| Some(end.last.as_ref()?.time_s));
+        let stopped =
+            nominal.and_then(|end| super::stopped(plan, end.stopped_by? as usize, ends_s?));
         let end = End {
             stopped,
+            ends_s,
             outcome,
             energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached: Reached::from(&reached),
@@ -257,7 +257,6 @@ impl Ensemble<'_> {
             let begun = assembly.body.velocity(&starts[m].momentum);
             let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
                 &end.reached;
-            let time_s = *step as f64 * self.plan.step_s;
             Member {
                 member: numbers[m],
                 outcome,
@@ -269,7 +268,7 @@ impl Ensemble<'_> {
                     Some(&begun),
                 )),
                 last: Some(messages::State::at(
-                    time_s,
+                    end.time_s,
                     attitude.as_ref(),
                     momentum,
                     velocities[m].as_ref(),

@@ -246,7 +246,7 @@ pub struct Pointing {
     pub towards: Option<[f64; 3]>,
 }
 
-/// A condition that ends a run after a step; it is then a success that says so.
+/// A condition that ends a run; it is then a success that says so.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
@@ -265,6 +265,9 @@ pub struct Stop {
     /// For how long it must hold, in s; 0 if absent.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub for_s: f64,
+    /// Whether the run ends within the step in which it comes to hold, at a time located to 1e-9 s; after that step if absent.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub exact: bool,
 }
 
 /// An angle to an attitude.
@@ -564,6 +567,9 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
                 attitude(&format!("{at}/angle_above_rad/from"), given, n)?;
             }
         }
+        ensure(!stop.exact || stop.for_s == 0.0, format!("{at}/exact"), || {
+            "a condition that must hold for some time is looked at after steps; leave out `exact` or `for_s`".to_owned()
+        })?;
         let has_target = scenario.scene.control.as_ref().is_some_and(|it| it.target.is_some());
         let aims = stop.pointing_error_below_rad.is_some();
         ensure(has_target || !aims, format!("{at}/pointing_error_below_rad"), || {

@@ -371,7 +371,7 @@ fn members_stop_where_their_own_condition_holds() {
 }
 
 /// The samples of each member that is logged in full.
-fn states(log: &Path) -> BTreeMap<u64, Vec<State>> {
+pub(crate) fn states(log: &Path) -> BTreeMap<u64, Vec<State>> {
     let mut found: BTreeMap<u64, Vec<State>> = BTreeMap::new();
     let ending = reader::read(log, |item| {
         if let Item::Message { topic, data, .. } = item
