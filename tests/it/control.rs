@@ -12,6 +12,7 @@ use vpd::log::course::{Course, LogChart};
 use vpd::log::inspect::inspect;
 use vpd::log::part_path;
 use vpd::log::reader::{Message, read_samples};
+use vpd::log::samples::{Curve, Window, read_course};
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
 use vpd::verify::verify;
@@ -50,6 +51,22 @@ fn a_slew_ends_where_it_points() {
     let seen = inspect(&log).expect("readable");
     let control = seen.topics.iter().find(|entry| entry.topic == "/control");
     assert_eq!(control.expect("logged").messages, summary.samples);
+    // Charts of it go to the target.
+    for (curve, components) in [
+        (Curve::PointingError, 1),
+        (Curve::ControlCommand, 4),
+        (Curve::WheelMomenta, 4),
+        (Curve::WheelSpeeds, 4),
+    ] {
+        let window = Window { from_s: 0.0, to_s: f64::MAX, points: 100 };
+        let found = read_course(&log, curve, window, &|_| Vec::new(), &|| false);
+        let found = found.expect("readable").expect("read");
+        assert_eq!((found.low.len(), found.high.len()), (components, components), "{curve:?}");
+        let (first, last) = (found.high[0][0], found.low[0].last().copied());
+        if curve == Curve::PointingError {
+            assert!(first > 1.0 && last.is_some_and(|last| last < 1e-3), "{first} {last:?}");
+        }
+    }
     assert!(verify(&log).expect("verified").same);
 }
 
