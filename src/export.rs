@@ -144,6 +144,7 @@ fn of_member(member: &Member) -> Vec<Field> {
     let mut fields = vec![
         Field::count("member", &member.member),
         Field::word("outcome", &member.outcome),
+        Field::word("stopped_by", &member.stopped_by_pointer().unwrap_or_default()),
         Field::count("steps", &member.steps),
         Field::count("samples", &member.samples),
         Field::count("iterations", &member.iterations),

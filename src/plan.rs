@@ -395,6 +395,9 @@ impl Plan {
             OwnSteps::new(&asked, step_s, &scenario.scene.potential, &plan.model.terms)
         });
         plan.formulation = plan.formulate(scenario)?;
+        if plan.formulation.method == Integrator::VpdAdaptive {
+            plan.model.control.check_exact()?;
+        }
         plan.free_directions = plan.model.free_directions(n);
         for ChannelPlan { topic, computes } in &mut plan.channels {
             *computes = match topic {

@@ -284,7 +284,7 @@ fn run<const N: usize>(
         &mut recorder,
         |steps| control.go_on(steps),
     );
-    let Trajectory { ending, reached } = match end {
+    let Trajectory { ending, reached, time_s } = match end {
         Ok(end) => end,
         Err(error) => return Err(recorder.keep.left(error)),
     };
@@ -312,13 +312,11 @@ fn run<const N: usize>(
     let mut reached = Reached::from(&reached);
     reached.derivatives = derivatives;
     let stopped = match ending {
-        Ending::Stopped(number) => plan.asked.until.get(number).map(|stop| {
-            let time_s = steps_done as f64 * plan.step_s;
-            format!("{stop} at t = {time_s:.9} s (/until/{number})")
-        }),
+        Ending::Stopped(number) => stopped(plan, number, time_s),
         _ => None,
     };
-    let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy };
+    let ends_s = Some(time_s);
+    let end = End { outcome, reached, ends_s, diagnosis, stopped, ensemble: None, energy };
     let summary = finish(Asked::of(plan), context.log, keep.writer(), (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,
@@ -326,6 +324,12 @@ fn run<const N: usize>(
         wall_s: begun.elapsed().as_secs_f64(),
         ..summary
     })
+}
+
+/// Returns which condition stopped a run, and when, in words.
+fn stopped(plan: &Plan, number: usize, time_s: f64) -> Option<String> {
+    let stop = plan.asked.until.get(number)?;
+    Some(format!("{stop} at t = {time_s:.9} s (/until/{number})"))
 }
 
 /// Returns how a run ended, with the diagnosis of a step that failed; `None` if it was cut off, and goes on later.

@@ -1,7 +1,7 @@
 //! Members of an ensemble, carried forward together.
 //!
 //! Invariant: a member makes the steps of its own run, to the bit, whatever members go next to it; one that fails stays where
-//! it was, and the others go on.
+//! it was, one that a condition stops stays there, and the others go on.
 
 use super::failure::Failure;
 use super::hamiltonian::RigidBody;
@@ -9,6 +9,7 @@ use super::lanes::WIDTH;
 use super::nonlinear::Convergence;
 use super::state::State;
 use super::stepper::{Knots, Stepper};
+use super::system::System;
 use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, Trajectory};
 
 /// A few members of an ensemble that take each step together.
@@ -39,8 +40,8 @@ pub trait Members<const N: usize> {
         Ok(0)
     }
 
-    /// Returns member `m` as it is.
-    fn member(&mut self, m: usize) -> &dyn Stepper<N>;
+    /// Returns member `m` as it is. One that makes steps by itself takes no more steps with the others.
+    fn member(&mut self, m: usize) -> &mut dyn Stepper<N>;
 }
 
 /// Members one after the other, with any scheme.
@@ -85,8 +86,8 @@ impl<const N: usize> Members<N> for Sequential<N> {
         self.steppers[m].synchronise(body, h)
     }
 
-    fn member(&mut self, m: usize) -> &dyn Stepper<N> {
-        self.steppers[m].as_ref()
+    fn member(&mut self, m: usize) -> &mut dyn Stepper<N> {
+        self.steppers[m].as_mut()
     }
 }
 
@@ -117,6 +118,7 @@ pub fn integrate<const N: usize, E>(
             None => Ok(()),
         }
     };
+    let is_located = body.stops().iter().any(|stop| stop.exact);
     let mut going: Vec<usize> = (0..initial.len()).collect();
     let mut step = 0;
     loop {
@@ -137,11 +139,22 @@ pub fn integrate<const N: usize, E>(
             }
             break;
         }
+        let begun: Vec<_> = if is_located {
+            going.iter().map(|&m| Some(bookkeeping[m].begun(members.member(m)))).collect()
+        } else {
+            vec![None; going.len()]
+        };
         members.step(body, step as f64 * step_s, step_s, &going, &mut |m, result| {
             bookkeeping[m].stepped(result)
         });
         step += 1;
-        for &m in &going {
+        for (&m, begun) in going.iter().zip(begun) {
+            if !body.stops().is_empty() {
+                bookkeeping[m].look_for_a_stop(body, members.member(m));
+            }
+            if let Some(begun) = begun {
+                bookkeeping[m].end_within(body, members.member(m), begun);
+            }
             if !bookkeeping[m].goes_on() {
                 sample(m, &mut bookkeeping[m], members)?;
             }

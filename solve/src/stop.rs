@@ -12,7 +12,13 @@ pub struct Stop<const N: usize> {
     pub condition: Condition<N>,
     /// For how long it must hold, in s; zero for at once.
     pub for_s: f64,
+    /// Whether the time at which it comes to hold is located within the step, to [`EXACT_S`]. One that must hold for some time,
+    /// or that holds at the start, ends the run after a step, and so does any with a scheme that has a time of its own.
+    pub exact: bool,
 }
+
+/// The error of a time that is located, in s.
+pub const EXACT_S: f64 = 1e-9;
 
 /// What may hold after a step.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,21 +34,22 @@ pub enum Condition<const N: usize> {
 }
 
 impl<const N: usize> Stop<N> {
-    /// Does the condition hold, at a time in seconds, for an attitude, its velocity if that has a name, and the energy error?
-    pub(super) fn holds(
+    /// Returns a number above zero where the condition holds, and continuous: at a time in seconds, for an attitude, its velocity
+    /// if that has a name, and the energy error.
+    pub(super) fn margin(
         &self,
         time_s: f64,
         g: &Mat<N>,
         velocity: Option<Mat<N>>,
         energy_error: impl Fn() -> f64,
-    ) -> bool {
+    ) -> f64 {
         match &self.condition {
-            Condition::PointingErrorBelow(target, angle) => target.error(time_s, g).1 < *angle,
-            Condition::AngleAbove(target, angle) => target.error(time_s, g).1 > *angle,
+            Condition::PointingErrorBelow(target, angle) => angle - target.error(time_s, g).1,
+            Condition::AngleAbove(target, angle) => target.error(time_s, g).1 - angle,
             Condition::RateBelow(rate) => {
-                velocity.is_some_and(|velocity| so::inner(&velocity, &velocity).sqrt() < *rate)
+                velocity.map_or(-1.0, |velocity| rate - so::inner(&velocity, &velocity).sqrt())
             }
-            Condition::EnergyErrorAbove(energy) => energy_error().abs() > *energy,
+            Condition::EnergyErrorAbove(energy) => energy_error().abs() - energy,
         }
     }
 }

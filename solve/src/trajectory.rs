@@ -2,7 +2,7 @@
 //! same bookkeeping.)
 //!
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of
-//! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
+//! time; time is `k h`, never a sum, but for an end within a step. At a checkpoint the stepper starts anew from what the checkpoint
 //! holds, so that a trajectory which is resumed there is, to the bit, the one that was not interrupted.
 
 use super::control::ControlSample;
@@ -12,6 +12,7 @@ use super::pointing::Pointed;
 use super::so::{self, Mat};
 use super::state::{Checkpoint, Derivatives, Pace, State};
 use super::stepper::{Knots, Stepper};
+use super::stop::{EXACT_S, Stop};
 use super::system::{Energy, System};
 
 /// Length and resolution of a trajectory.
@@ -248,6 +249,8 @@ pub struct Trajectory<const N: usize> {
     pub ending: Ending,
     /// Where it ended.
     pub reached: Checkpoint<N>,
+    /// When, in s: at the end of a step, unless a condition stopped it within.
+    pub time_s: f64,
 }
 
 /// Carries a state of any system forward along `schedule` by a stepper for it and gives the samples to `sink`: the first at the start,
@@ -270,6 +273,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
     let every = every.max(1);
     let Origin { initial, checkpoint } = origin.into();
     let mut bookkeeping = Bookkeeping::new(system, initial, step_s, observables);
+    let is_located = system.stops().iter().any(|stop| stop.exact);
     let mut knots = Knots::default();
     stepper.start(initial);
     if let Some(found) = checkpoint {
@@ -286,11 +290,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             }
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && bookkeeping.goes_on() && sink.wants_checkpoint() {
-                bookkeeping.reached.work += stepper.work();
-                bookkeeping.reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
-                bookkeeping.reached.table_impulse += stepper.table_impulse();
-                bookkeeping.reached.own_time = stepper.own_time();
-                bookkeeping.reached.control = stepper.control().cloned();
+                put_in(&mut bookkeeping.reached, stepper);
                 sink.checkpoint(&bookkeeping.reached)?;
                 stepper.resume(&bookkeeping.reached);
             }
@@ -299,8 +299,12 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             break;
         }
         if go_on(step) {
+            let begun = is_located.then(|| bookkeeping.begun(stepper));
             bookkeeping.stepped(knots.step(system, stepper, step as f64 * step_s, step_s));
             bookkeeping.look_for_a_stop(system, stepper);
+            if let Some(begun) = begun {
+                bookkeeping.end_within(system, stepper, begun);
+            }
         } else {
             bookkeeping.cancelled();
         }
@@ -317,6 +321,8 @@ pub(super) struct Bookkeeping<const N: usize> {
     reached: Checkpoint<N>,
     /// The step of the last sample.
     sampled: Option<u64>,
+    /// The time at which a condition stopped the last step within, in s.
+    ends_s: Option<f64>,
 }
 
 impl<const N: usize> Bookkeeping<N> {
@@ -328,7 +334,7 @@ impl<const N: usize> Bookkeeping<N> {
     ) -> Self {
         let reached = Checkpoint::at_start(initial);
         let observer = Observer::new(system, initial, observables);
-        Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
+        Self { observer, step_s, ending: Ending::Completed, reached, sampled: None, ends_s: None }
     }
 
     fn resume_job(&mut self, found: &Checkpoint<N>) {
@@ -357,38 +363,137 @@ impl<const N: usize> Bookkeeping<N> {
         }
     }
 
+    /// Returns the checkpoint of the state that a stepper holds, from which a part of its next step can be made.
+    pub(super) fn begun<Y: ?Sized>(&self, stepper: &dyn Stepper<N, Y>) -> Checkpoint<N> {
+        let mut begun = self.reached.clone();
+        put_in(&mut begun, stepper);
+        (begun.attitude, begun.momentum) = (stepper.attitude(), stepper.momentum());
+        begun.derivatives = stepper.derivatives().cloned();
+        begun
+    }
+
+    /// Returns the margin of a condition at the state that a stepper holds: see [`Stop::margin`].
+    fn margin<Y: System<N> + ?Sized>(
+        &self,
+        stop: &Stop<N>,
+        system: &Y,
+        stepper: &dyn Stepper<N, Y>,
+        time_s: f64,
+    ) -> f64 {
+        let system = stepper.acting().unwrap_or(system);
+        let g = stepper.attitude().unwrap_or_else(Mat::identity);
+        let mu = stepper.momentum();
+        let velocity = system.observed_velocity(time_s, &g, &mu);
+        stop.margin(time_s, &g, velocity, || {
+            let work = self.reached.work + stepper.work();
+            system.energy_at(time_s, &g, &mu).total() - self.observer.initial_energy - work
+        })
+    }
+
     /// Ends the trajectory after a step if one of the conditions of the system has held for as long as it asks.
-    fn look_for_a_stop<Y: System<N> + ?Sized>(&mut self, system: &Y, stepper: &dyn Stepper<N, Y>) {
+    pub(super) fn look_for_a_stop<Y: System<N> + ?Sized>(
+        &mut self,
+        system: &Y,
+        stepper: &dyn Stepper<N, Y>,
+    ) {
         let stops = system.stops();
         if stops.is_empty() || !self.goes_on() {
             return;
         }
-        let system = stepper.acting().unwrap_or(system);
         let time_s = self.reached.step as f64 * self.step_s;
-        let g = stepper.attitude().unwrap_or_else(Mat::identity);
-        let mu = stepper.momentum();
-        let energy_error = || {
-            let work = self.reached.work + stepper.work();
-            system.energy_at(time_s, &g, &mu).total() - self.observer.initial_energy - work
-        };
-        let holds: Vec<bool> = stops
-            .iter()
-            .map(|stop| {
-                stop.holds(time_s, &g, system.observed_velocity(time_s, &g, &mu), energy_error)
-            })
-            .collect();
-        let since = &mut self.reached.holds_since_s;
-        since.resize(stops.len(), None);
-        for (number, (stop, holds)) in stops.iter().zip(holds).enumerate() {
-            since[number] = if holds { since[number].or(Some(time_s)) } else { None };
-            let is_over = since[number].is_some_and(|since_s| {
+        self.reached.holds_since_s.resize(stops.len(), None);
+        for (number, stop) in stops.iter().enumerate() {
+            let holds = self.margin(stop, system, stepper, time_s) > 0.0;
+            let since = &mut self.reached.holds_since_s[number];
+            *since = if holds { since.or(Some(time_s)) } else { None };
+            let is_over = since.is_some_and(|since_s| {
                 time_s - since_s >= stop.for_s - super::time::rounding_s(time_s)
             });
-            if is_over {
+            if is_over && self.goes_on() {
                 self.ending = Ending::Stopped(number);
-                return;
             }
         }
+    }
+
+    /// Ends a trajectory that a condition has stopped after a step within this step, where the first of the conditions that are
+    /// located came to hold: by the method's own map over a part of the step, from the state in which that began.
+    pub(super) fn end_within<Y: System<N> + ?Sized>(
+        &mut self,
+        system: &Y,
+        stepper: &mut dyn Stepper<N, Y>,
+        begun: Checkpoint<N>,
+    ) {
+        let Ending::Stopped(after_step) = self.ending else { return };
+        let found = self.reached.holds_since_s.iter().zip(system.stops()).enumerate();
+        let located: Vec<usize> = found
+            .filter(|(_, (since, stop))| since.is_some() && stop.exact && stop.for_s == 0.0)
+            .map(|(number, _)| number)
+            .collect();
+        if located.is_empty() || begun.own_time.is_some() {
+            return;
+        }
+        let held = std::mem::take(&mut self.reached.holds_since_s);
+        self.reached = begun;
+        let mut first = (self.step_s, after_step);
+        for number in located {
+            match self.located(&system.stops()[number], system, stepper) {
+                Ok(part_s) if part_s < first.0 => first = (part_s, number),
+                Ok(_) => {}
+                Err(failure) => return self.stepped(Err(failure)),
+            }
+        }
+        let (part_s, number) = first;
+        let (begun_s, solved) = self.part(system, stepper, part_s);
+        self.stepped(solved);
+        if matches!(self.ending, Ending::Stopped(_)) {
+            self.reached.holds_since_s = held;
+            self.ending = Ending::Stopped(number);
+            self.ends_s = (part_s < self.step_s).then_some(begun_s + part_s);
+        }
+    }
+
+    /// Makes the first `part_s` seconds of the step after the state reached; returns when that begins, and how it was solved.
+    fn part<Y: System<N> + ?Sized>(
+        &self,
+        system: &Y,
+        stepper: &mut dyn Stepper<N, Y>,
+        part_s: f64,
+    ) -> (f64, Result<Convergence, Failure>) {
+        let begun_s = self.reached.step as f64 * self.step_s;
+        stepper.resume(&self.reached);
+        (begun_s, Knots::default().step(system, stepper, begun_s, part_s))
+    }
+
+    /// Returns the part of the step after the state reached, in s, at whose end a condition comes to hold that holds at the end of
+    /// the whole step: by bisection, for steps that end at knots make the margin no more than continuous. The whole step if it
+    /// holds from the beginning.
+    fn located<Y: System<N> + ?Sized>(
+        &self,
+        stop: &Stop<N>,
+        system: &Y,
+        stepper: &mut dyn Stepper<N, Y>,
+    ) -> Result<f64, Failure> {
+        let begun_s = self.reached.step as f64 * self.step_s;
+        stepper.resume(&self.reached);
+        let (mut before_s, mut after_s) = (0.0, self.step_s);
+        if self.margin(stop, system, stepper, begun_s) > 0.0 {
+            return Ok(after_s);
+        }
+        while after_s - before_s > EXACT_S {
+            let middle_s = 0.5 * (before_s + after_s);
+            self.part(system, stepper, middle_s).1?;
+            if self.margin(stop, system, stepper, begun_s + middle_s) > 0.0 {
+                after_s = middle_s;
+            } else {
+                before_s = middle_s;
+            }
+        }
+        Ok(after_s)
+    }
+
+    /// The time of the state that was reached, in s.
+    fn time_s(&self) -> f64 {
+        self.ends_s.unwrap_or(self.reached.step as f64 * self.step_s)
     }
 
     /// Was there no sample of the state that was reached?
@@ -406,9 +511,9 @@ impl<const N: usize> Bookkeeping<N> {
         stepper: &dyn Stepper<N, Y>,
     ) -> Option<Sample<N>> {
         let settled = settled?;
-        let Self { observer, step_s, ending, reached, sampled } = self;
+        let time_s = self.time_s();
+        let Self { observer, ending, reached, sampled, .. } = self;
         let step = reached.step;
-        let time_s = step as f64 * *step_s;
         let work_and_impulse = TotalInput {
             work: reached.work + stepper.work(),
             impulse: stepper.impulse().map(|since| reached.impulse + since),
@@ -448,8 +553,17 @@ impl<const N: usize> Bookkeeping<N> {
 
     /// Returns the trajectory. Every way to an end leads past a sample of the last state.
     pub(super) fn end(self) -> Trajectory<N> {
-        Trajectory { ending: self.ending, reached: self.reached }
+        Trajectory { time_s: self.time_s(), ending: self.ending, reached: self.reached }
     }
+}
+
+/// Adds what a stepper has put in, and what its control knows, to a checkpoint.
+fn put_in<const N: usize, Y: ?Sized>(reached: &mut Checkpoint<N>, stepper: &dyn Stepper<N, Y>) {
+    reached.work += stepper.work();
+    reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
+    reached.table_impulse += stepper.table_impulse();
+    reached.own_time = stepper.own_time();
+    reached.control = stepper.control().cloned();
 }
 
 /// Are two times of a run the same, but for rounding?

@@ -117,9 +117,10 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
         format!("{:.3} s, {:.0} ns a step in the integrator", summary.wall_s, summary.ns_per_step),
     );
     if let Some(ensemble) = &summary.ensemble {
-        let failed: String =
-            ensemble.failed.iter().map(|(code, count)| format!(", {count} {code}")).collect();
-        let members = format!("{} of {} succeeded{failed}", ensemble.succeeded, ensemble.members);
+        let stopped = ensemble.stopped.iter().map(|(at, count)| format!(", {count} by {at}"));
+        let failed = ensemble.failed.iter().map(|(code, count)| format!(", {count} {code}"));
+        let ends: String = stopped.chain(failed).collect();
+        let members = format!("{} of {} succeeded{ends}", ensemble.succeeded, ensemble.members);
         line("members", members);
         if let Some(spread) = ensemble.attitude_spread_rad {
             line("spread", format!("{spread:.3e} rad of attitude at the end"));

@@ -32,11 +32,19 @@ pub enum Curve {
     RollPitchYaw,
     /// Angular velocity relative to that frame, in body coordinates and rad/s.
     RelativeRate,
+    /// Angle between the body and the target of its control, as the sensors show it, in rad; for n other than 3 a norm.
+    PointingError,
+    /// Commands of a control after their limits: torques or motor torques in N m, moments of coils in A m^2.
+    ControlCommand,
+    /// Momentum of each driven wheel about its axis, in N m s.
+    WheelMomenta,
+    /// Speed of each of these relative to the body, in rad/s.
+    WheelSpeeds,
 }
 
 impl Curve {
     /// All quantities.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 15] = [
         Self::EnergyError,
         Self::OrthogonalityError,
         Self::MomentumDrift,
@@ -48,6 +56,10 @@ impl Curve {
         Self::AxisError,
         Self::RollPitchYaw,
         Self::RelativeRate,
+        Self::PointingError,
+        Self::ControlCommand,
+        Self::WheelMomenta,
+        Self::WheelSpeeds,
     ];
 
     /// Returns its name in queries and answers.
@@ -64,6 +76,10 @@ impl Curve {
             Self::AxisError => "axis_error",
             Self::RollPitchYaw => "roll_pitch_yaw",
             Self::RelativeRate => "relative_rate",
+            Self::PointingError => "pointing_error",
+            Self::ControlCommand => "control_command",
+            Self::WheelMomenta => "wheel_momenta",
+            Self::WheelSpeeds => "wheel_speeds",
         }
     }
 
@@ -72,9 +88,11 @@ impl Curve {
         match self {
             Self::EnergyError => "J",
             Self::OrthogonalityError => "",
-            Self::AngularVelocity | Self::RelativeRate => "rad/s",
-            Self::AxisAngle | Self::AxisError | Self::RollPitchYaw => "rad",
+            Self::AngularVelocity | Self::RelativeRate | Self::WheelSpeeds => "rad/s",
+            Self::AxisAngle | Self::AxisError | Self::RollPitchYaw | Self::PointingError => "rad",
             Self::Step => "s",
+            Self::ControlCommand => "N m, of coils A m²",
+            Self::WheelMomenta => "N m s",
             Self::MomentumDrift | Self::BodyMomentum | Self::SpatialMomentum => "kg m²/s",
         }
     }
@@ -88,6 +106,9 @@ impl Curve {
             Self::AngularVelocity | Self::BodyMomentum | Self::AxisAngle => Channel::State,
             Self::Step => Channel::Pace,
             Self::AxisError | Self::RollPitchYaw | Self::RelativeRate => Channel::Pointing,
+            Self::PointingError | Self::ControlCommand | Self::WheelMomenta | Self::WheelSpeeds => {
+                Channel::Control
+            }
         }
     }
 
@@ -121,6 +142,16 @@ impl Curve {
                 values.extend([seen.roll_rad, seen.pitch_rad, seen.yaw_rad]);
             }
             (Self::RelativeRate, Message::Pointing(seen)) => values.extend_from_slice(&seen.rate),
+            (Self::PointingError, Message::Control(seen)) => values.extend(seen.pointing_error_rad),
+            (Self::ControlCommand, Message::Control(seen)) => {
+                values.extend_from_slice(&seen.command);
+            }
+            (Self::WheelMomenta, Message::Control(seen)) => {
+                values.extend_from_slice(&seen.wheel_momenta);
+            }
+            (Self::WheelSpeeds, Message::Control(seen)) => {
+                values.extend_from_slice(&seen.wheel_speeds);
+            }
             _ => {}
         }
     }

@@ -224,7 +224,8 @@ pub fn read_members(
     wanted: Wanted,
     stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Members>, LogError> {
-    let mut reading = Reading { wanted, nominal: None, rows: Vec::new(), time_s: Vec::new() };
+    let mut reading =
+        Reading { wanted, nominal: None, rows: Vec::new(), last_s: Vec::new(), time_s: Vec::new() };
     let mut stop = false;
     each(path, |member| {
         stop = stopped();
@@ -281,7 +282,9 @@ struct Reading {
     /// The way of member 0, which ends first.
     nominal: Option<Waypoints>,
     rows: Vec<MemberRow>,
-    /// The longest list of times: that of all members but for the last time of one that failed.
+    /// Time of the last value of each row.
+    last_s: Vec<Option<f64>>,
+    /// The longest list of times: that of all members but for the last time of one that ended early.
     time_s: Vec<f64>,
 }
 
@@ -296,6 +299,8 @@ impl Reading {
             Some(nominal) => quantity.values(&way, nominal, axis),
             None => quantity.values(&way, &Waypoints::default(), axis),
         };
+        self.last_s
+            .push(values.len().checked_sub(1).and_then(|last| way.time_s.get(last).copied()));
         let sizes = values.iter().enumerate().map(|(k, value)| (k, value.abs()));
         let peak = sizes.reduce(|a, b| if b.1 > a.1 { b } else { a });
         let known = quantity.largest(&end.figures.unwrap_or_default());
@@ -315,9 +320,12 @@ impl Reading {
 
     fn members(mut self) -> Members {
         let Wanted { quantity, order, offset, limit, .. } = self.wanted;
-        // A member that failed may have its last point between two of the others.
-        for row in &mut self.rows {
-            row.values.truncate(self.time_s.partition_point(|time_s| *time_s <= row.end_s));
+        // The last point of a member that ended early may lie between two of the others: on these it was not seen.
+        for (row, last_s) in self.rows.iter_mut().zip(&self.last_s) {
+            let shown_s = row.values.len().checked_sub(1).map(|last| self.time_s[last]);
+            if shown_s != *last_s {
+                row.values.pop();
+            }
         }
         let mut quantiles = PARTS.map(|part| MemberQuantile { part, values: Vec::new() });
         let mut count = Vec::new();

@@ -194,6 +194,13 @@ messages_of_samples! {
     derivatives: Derivatives { transition: numbers(transition), sensitivity: numbers(sensitivity) },
 }
 
+impl Member {
+    /// Returns the pointer of the condition that ended it before its time.
+    pub(crate) fn stopped_by_pointer(&self) -> Option<String> {
+        self.stopped_by.map(|number| format!("/until/{number}"))
+    }
+}
+
 impl State {
     /// Returns attitude and momentum of a sample.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Self {

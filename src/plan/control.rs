@@ -76,6 +76,7 @@ enum ModelCondition {
 struct ModelStop {
     condition: ModelCondition,
     for_s: f64,
+    exact: bool,
 }
 
 impl ModelWheels {
@@ -202,7 +203,7 @@ impl ModelControl {
                     (None, energy) => ModelCondition::EnergyErrorAbove(energy.unwrap_or(f64::MAX)),
                 },
             };
-            Ok(ModelStop { condition, for_s: stop.for_s })
+            Ok(ModelStop { condition, for_s: stop.for_s, exact: stop.exact })
         });
         Ok(Self {
             target,
@@ -239,6 +240,13 @@ impl ModelControl {
     /// Is nothing changed by it in the motion?
     pub(crate) fn is_empty(&self) -> bool {
         self.control.is_none() && self.moment.is_none()
+    }
+
+    /// Refuses conditions that are located within a step, which adaptive steps cannot do.
+    pub(super) fn check_exact(&self) -> Result<(), ScenarioError> {
+        let Some(number) = self.stops.iter().position(|stop| stop.exact) else { return Ok(()) };
+        let message = "steps that adapt cannot end at a time that is located; leave it out, or choose another method";
+        Err(ScenarioError::invalid(format!("/until/{number}/exact"), message))
     }
 
     /// Are there conditions that end a run?
@@ -358,7 +366,7 @@ impl ModelControl {
                     Condition::EnergyErrorAbove(*energy)
                 }
             };
-            Stop { condition, for_s: stop.for_s }
+            Stop { condition, for_s: stop.for_s, exact: stop.exact }
         };
         let body = body.with_stops(self.stops.iter().map(stop).collect());
         match &self.pointing {

@@ -73,7 +73,15 @@ impl BodiesTask for BodiesRun<'_> {
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let energy = energy_at_the_ends(&bodies, &initial, &last);
         let reached = Reached::of_bodies(&reached, final_state(plan, &bodies, &last));
-        let end = End { outcome, reached, diagnosis, stopped: None, ensemble: None, energy };
+        let end = End {
+            outcome,
+            reached,
+            ends_s: None,
+            diagnosis,
+            stopped: None,
+            ensemble: None,
+            energy,
+        };
         let Recorder { keep, figures, course, .. } = recorder;
         let steps_done = end.reached.step;
         let summary =

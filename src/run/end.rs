@@ -55,6 +55,8 @@ pub(super) struct End {
     pub(super) outcome: Outcome,
     /// State that it reached; for an ensemble, that of member 0.
     pub(super) reached: Reached,
+    /// When, in s; at the end of its last step if absent.
+    pub(super) ends_s: Option<f64>,
     pub(super) diagnosis: Option<Diagnosis>,
     /// The condition that ended it before its time, in words.
     pub(super) stopped: Option<String>,
@@ -101,8 +103,8 @@ pub(super) fn finish(
     (figures, course): (&Figures, &Course),
     end: End,
 ) -> Result<Summary, RunError> {
-    let End { outcome, reached, diagnosis, stopped, ensemble, energy } = end;
-    let time_s = reached.step as f64 * asked.step_s;
+    let End { outcome, reached, ends_s, diagnosis, stopped, ensemble, energy } = end;
+    let time_s = ends_s.unwrap_or(reached.step as f64 * asked.step_s);
     // Member 0 may have failed long before the others came to the end.
     let last_s = if ensemble.is_some() { asked.steps as f64 * asked.step_s } else { time_s };
     let mut say = |level, text: &str| match &mut writer {

@@ -36,7 +36,7 @@ mod way;
 use statistics::{Ends, Spread};
 use way::Way;
 
-/// Outcome of a member that made all its steps.
+/// Outcome of a member that made all its steps, or was stopped by a condition.
 const SUCCEEDED: &str = "succeeded";
 
 /// A run of an ensemble that writes its log.
@@ -101,8 +101,12 @@ impl Ensemble<'_> {
         let reached = reached(&assembly.initial, nominal);
         let first = nominal.and_then(|end| end.initial.as_ref()?.point());
         let first = first.unwrap_or_else(|| reached.state());
+        let ends_s = nominal.and_then(|end| Some(end.last.as_ref()?.time_s));
+        let stopped =
+            nominal.and_then(|end| super::stopped(plan, end.stopped_by? as usize, ends_s?));
         let end = End {
-            stopped: None,
+            stopped,
+            ends_s,
             outcome,
             energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached: Reached::from(&reached),
@@ -253,7 +257,6 @@ impl Ensemble<'_> {
             let begun = assembly.body.velocity(&starts[m].momentum);
             let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
                 &end.reached;
-            let time_s = *step as f64 * self.plan.step_s;
             Member {
                 member: numbers[m],
                 outcome,
@@ -265,7 +268,7 @@ impl Ensemble<'_> {
                     Some(&begun),
                 )),
                 last: Some(messages::State::at(
-                    time_s,
+                    end.time_s,
                     attitude.as_ref(),
                     momentum,
                     velocities[m].as_ref(),
@@ -276,6 +279,10 @@ impl Ensemble<'_> {
                 solver: convergence.map(Into::into),
                 diagnosis,
                 way: Some(way.points()),
+                stopped_by: match end.ending {
+                    Ending::Stopped(number) => u32::try_from(number).ok(),
+                    _ => None,
+                },
             }
         });
         let ends = ends.collect();

@@ -74,6 +74,7 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
         stopped: None,
         outcome: Outcome::Failed,
         reached,
+        ends_s: None,
         diagnosis: Some(diagnosis),
         ensemble: None,
         energy,

@@ -140,7 +140,7 @@ impl Recording {
         let (figures, course) = (Figures::default(), Course::default());
         let mut recorder = Recorder::of(writer, figures, course, control, &header);
         let integrating = Instant::now();
-        let Trajectory { ending, reached } = trajectory::integrate(
+        let Trajectory { ending, reached, time_s } = trajectory::integrate(
             system,
             stepper,
             initial,
@@ -168,13 +168,14 @@ impl Recording {
         let Recorder { keep, figures, course, .. } = recorder;
         let reached = Reached::from(&reached);
         let stopped = match ending {
-            Ending::Stopped(number) => Some(format!(
-                "condition {number} of the system at t = {} s",
-                steps_done as f64 * step_s
-            )),
+            Ending::Stopped(number) => {
+                Some(format!("condition {number} of the system at t = {time_s} s"))
+            }
             _ => None,
         };
-        let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy: None };
+        let ends_s = Some(time_s);
+        let end =
+            End { outcome, reached, ends_s, diagnosis, stopped, ensemble: None, energy: None };
         let asked = Asked::steps(step_s, steps);
         let summary = finish(asked, log, keep.writer(), (&figures, &course), end)?;
         Ok(Summary {

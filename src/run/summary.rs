@@ -124,8 +124,11 @@ impl DerivativesSummary {
 pub struct EnsembleSummary {
     /// Members whose end is in the log.
     pub members: u64,
-    /// Number of members that made all their steps.
+    /// Number of members that made all their steps, or were stopped by a condition of `until`.
     pub succeeded: u64,
+    /// Number of those that were stopped, by the pointer of the condition.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub stopped: BTreeMap<String, u64>,
     /// Number of failed members, by code.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub failed: BTreeMap<String, u64>,
@@ -135,7 +138,7 @@ pub struct EnsembleSummary {
     /// Standard deviation of each component of the body momentum at the end.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub body_momentum_deviation: Vec<f64>,
-    /// Largest |H - H0| of any member that made all its steps.
+    /// Largest |H - H0| of any member that succeeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy_max_abs_error: Option<f64>,
     /// Largest distance of any of them from the group.

@@ -246,7 +246,7 @@ pub struct Pointing {
     pub towards: Option<[f64; 3]>,
 }
 
-/// A condition that ends a run after a step; it is then a success that says so.
+/// A condition that ends a run; it is then a success that says so.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
@@ -265,6 +265,9 @@ pub struct Stop {
     /// For how long it must hold, in s; 0 if absent.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub for_s: f64,
+    /// Whether the run ends within the step in which it comes to hold, at a time located to 1e-9 s; after that step if absent.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub exact: bool,
 }
 
 /// An angle to an attitude.
@@ -539,14 +542,6 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
     const MOST: usize = 100;
     let count = scenario.until.len();
     ensure(count <= MOST, "/until", || format!("{count} given, at most {MOST} are allowed"))?;
-    ensure(count == 0 || scenario.ensemble.is_none(), "/until", || {
-        "the members of an ensemble all run to their end; take out `until`, or the ensemble"
-            .to_owned()
-    })?;
-    ensure(count == 0 || scenario.accuracy.is_none(), "/until", || {
-        "an accuracy is one of the end of the whole run; give `method` and `step_s` instead"
-            .to_owned()
-    })?;
     for (index, stop) in scenario.until.iter().enumerate() {
         let at = format!("/until/{index}");
         let given = [
@@ -572,6 +567,9 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
                 attitude(&format!("{at}/angle_above_rad/from"), given, n)?;
             }
         }
+        ensure(!stop.exact || stop.for_s == 0.0, format!("{at}/exact"), || {
+            "a condition that must hold for some time is looked at after steps; leave out `exact` or `for_s`".to_owned()
+        })?;
         let has_target = scenario.scene.control.as_ref().is_some_and(|it| it.target.is_some());
         let aims = stop.pointing_error_below_rad.is_some();
         ensure(has_target || !aims, format!("{at}/pointing_error_below_rad"), || {

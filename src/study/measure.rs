@@ -406,7 +406,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         &mut gauge,
         |_| !blown.get() && !watch.is_cancelled(),
     );
-    let Ok(Trajectory { ending, reached }) = trajectory;
+    let Ok(Trajectory { ending, reached, .. }) = trajectory;
     let Gauge { points, series, fastest, kinetic, momentum, least_sigma, .. } = gauge;
     let State { attitude, momentum: last } = reached.state();
     Measured {

@@ -108,7 +108,7 @@ impl Task for Member<'_> {
             pointing: scores.iter().any(|score| score.measure.needs_pointing()),
             derivatives: false,
         };
-        let Ok(Trajectory { ending, reached }) = trajectory::integrate(
+        let Ok(Trajectory { ending, reached, time_s }) = trajectory::integrate(
             &body,
             stepper.as_mut(),
             &initial,
@@ -117,13 +117,13 @@ impl Task for Member<'_> {
             &mut seen,
             |_| !stop.load(Ordering::Relaxed),
         );
-        let Checkpoint { step, attitude, momentum, .. } = reached;
+        let Checkpoint { attitude, momentum, .. } = reached;
         let completed = matches!(ending, Ending::Completed | Ending::Stopped(_));
         let turned = attitude.as_ref().map_or_else(Vec::new, entries);
         let size = if N == 3 { 4 } else { N * N };
         let turned = (0..size).map(|i| turned.get(i).copied());
         let row = Row {
-            time_s: step as f64 * step_s,
+            time_s,
             state: turned.chain(so::vee(&momentum).into_iter().map(Some)).collect(),
             figures: seen.figures,
             scores: seen.tallies.iter().map(|tally| tally.value(completed)).collect(),

@@ -267,6 +267,19 @@ await checks({
     await chart.waitForFunction(() => chart.found?.[0].channel === "step");
     const steps = await chart.evaluate(() => chart.found[0].high[0]);
     assert.ok(Math.max(...steps) > 2 * Math.min(...steps), `${Math.min(...steps)} to ${Math.max(...steps)} s`);
+    // So is what a control does: its error, its commands, its wheels.
+    const slew = await submit(url, { ...await shipped(url, "slew"), expect: undefined });
+    await ended(url, slew.id);
+    await chart.goto(`${url}/#/jobs/${slew.id}`);
+    await chart.waitForFunction(() => document.querySelector(".chart option[value=pointing_error]"));
+    for (const [name, count, unit] of [["pointing_error", 1, "rad"], ["control_command", 4, "N m"], ["wheel_momenta", 4, "N m s"], ["wheel_speeds", 4, "rad/s"]]) {
+      await chart.selectOption(".chart select[aria-label=Quantity]", name);
+      await chart.waitForFunction(name => chart.found?.[0].channel === name && document.querySelector(".plot canvas"), name);
+      const found = await chart.evaluate(() => chart.found[0]);
+      assert.ok(found.low.length === count && found.unit.startsWith(unit) && found.time_s.length > 100, `${name}: ${found.low.length} in ${found.unit}`);
+      if (name === "pointing_error") assert.ok(found.low[0].at(-1) < 1e-3 && found.high[0][0] > 1, `from ${found.high[0][0]} to ${found.low[0].at(-1)}`);
+      if (name === "wheel_momenta") assert.match(await chart.textContent(".legend"), /wheel 1.*wheel 4/);
+    }
     // For a running job it shows the samples so far, and goes on.
     const { id } = await submit(url, { ...await long(), name: "grows", log: { every: 5, channels: ["/state", "/energy"] } });
     await chart.goto(`${url}/#/jobs/${id}`);

@@ -10,6 +10,8 @@ use std::thread;
 use prost::Message as _;
 use serde_json::{Value, json};
 use vpd::advise;
+use vpd::export::{Choice, Format, export};
+use vpd::log::members::{MemberOrder, MemberQuantity, Wanted, read_members};
 use vpd::log::messages::{Energy, EnsembleStatistics, Member, State};
 use vpd::log::part_path;
 use vpd::log::reader::{self, Item};
@@ -284,6 +286,132 @@ fn a_member_that_fails_is_told_and_the_others_go_on() {
     assert!(summary.diagnosis.is_some());
 }
 
+/// Each member ends at the first step where its own condition holds, with the bits of the run that goes on; those that no
+/// condition stops make all their steps. Lanes, matrices, members one after the other; a wheel, noise.
+#[test]
+fn members_stop_where_their_own_condition_holds() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    let angle = |from: &State, to: &State| {
+        let cosine = from.attitude.iter().zip(&to.attitude).map(|(a, b)| a * b).sum::<f64>();
+        ((cosine - 1.0) / 2.0).acos()
+    };
+    for (scene, method, steps) in [
+        (dipole(), json!({ "name": "vpd", "tableau": "gauss2" }), 60),
+        (dipole(), json!({ "name": "vpd", "tableau": "gauss6" }), 60),
+        (dipole(), json!({ "name": "splitting", "order": 4 }), 60),
+        (dual_spin(), json!({ "name": "vpd", "tableau": "gauss2" }), 60),
+    ] {
+        let mut scenario = ensemble(scene, 20, steps, &method);
+        scenario["log"]["every"] = json!(1);
+        scenario["ensemble"]["in_full"] = json!([1, 2, 3, 4, 8, 9, 19]);
+        scenario["ensemble"]["attitude_spread_rad"] = json!(0.6);
+        scenario["ensemble"]["momentum_spread"] = json!(0.5);
+        run(&checked(&scenario), &log);
+        let (through, whole) = (states(&log), contents(&log).members);
+        // The angle counts from the start of the scene for all. About half of those that are seen pass it.
+        let nominal = &through[&0][0];
+        let largest = |samples: &Vec<State>| {
+            samples[1..].iter().map(|state| angle(nominal, state)).fold(0.0, f64::max)
+        };
+        let mut angles: Vec<f64> = through.values().map(largest).collect();
+        angles.sort_by(f64::total_cmp);
+        let limit = 0.5 * (angles[3] + angles[4]);
+        scenario["until"] = json!([
+            { "energy_error_above_j": 1e9 },
+            { "angle_above_rad": { "angle_rad": limit } }
+        ]);
+        let summary = run(&checked(&scenario), &log);
+        let Contents { members, statistics, .. } = contents(&log);
+        let until = states(&log);
+        let mut stopped = 0;
+        for (number, samples) in &through {
+            let first = (1..samples.len()).find(|&k| angle(nominal, &samples[k]) > limit);
+            let last = first.unwrap_or(samples.len() - 1);
+            assert!(until[number] == samples[..=last], "{number}: {first:?}");
+            let end = members.iter().find(|end| end.member == *number).expect("its end");
+            assert_eq!((end.steps, end.stopped_by), (last as u64, first.map(|_| 1)));
+            assert_eq!(end.outcome, "succeeded");
+        }
+        for end in &members {
+            stopped += u64::from(end.stopped_by.is_some());
+            let before = whole.iter().find(|other| other.member == end.member).expect("its end");
+            assert_eq!(end.stopped_by.is_none(), end == before, "{}", end.member);
+        }
+        println!("{stopped} of 20 stopped at {limit}");
+        assert!(stopped > 0 && stopped < 20, "{stopped}");
+        let reported = summary.ensemble.expect("of an ensemble");
+        assert_eq!(reported.stopped, BTreeMap::from([("/until/1".to_owned(), stopped)]));
+        assert_eq!((reported.succeeded, summary.outcome), (20, Outcome::Succeeded));
+        // Mean and spread are over all, each where it ended.
+        let [_, end] = statistics.as_slice() else { panic!("two of them: {statistics:?}") };
+        assert_eq!(end.members, 20);
+        for (i, mean) in end.mean_body_momentum.iter().enumerate() {
+            let momentum = |end: &Member| end.last.as_ref().expect("a state").body_momentum[i];
+            let sum: f64 = members.iter().map(momentum).sum();
+            assert!((sum / 20.0 - mean).abs() < 1e-12 * (1.0 + mean.abs()), "{mean}");
+        }
+        // Charts show at each time the members that still run.
+        let wanted = Wanted {
+            quantity: MemberQuantity::AngularVelocity,
+            axis: 0,
+            order: MemberOrder::Member,
+            offset: 0,
+            limit: 20,
+        };
+        let shown = read_members(&log, wanted, &|| false).expect("readable").expect("read");
+        for (k, time_s) in shown.time_s.iter().enumerate() {
+            let running = members.iter().filter(|end| {
+                let way = end.way.as_ref().expect("a way");
+                way.time_s.get(k) == Some(time_s)
+            });
+            assert_eq!(shown.count[k], running.count() as u64, "{time_s}");
+        }
+    }
+}
+
+/// The samples of each member that is logged in full.
+pub(crate) fn states(log: &Path) -> BTreeMap<u64, Vec<State>> {
+    let mut found: BTreeMap<u64, Vec<State>> = BTreeMap::new();
+    let ending = reader::read(log, |item| {
+        if let Item::Message { topic, data, .. } = item
+            && let Some(Topic { member, channel: Channel::State, .. }) = Topic::parse(topic)
+        {
+            found.entry(member).or_default().push(State::decode(data).expect("ours"));
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(ending.expect("readable").finished);
+    found
+}
+
+/// A table of members says which condition stopped each, and when.
+#[test]
+fn the_table_of_members_names_the_condition() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    let method = json!({ "name": "vpd", "tableau": "gauss2" });
+    let mut scenario = ensemble(dipole(), 9, 60, &method);
+    scenario["ensemble"]["momentum_spread"] = json!(0.5);
+    scenario["until"] = json!([{ "angle_above_rad": { "angle_rad": 0.5 } }]);
+    run(&checked(&scenario), &log);
+    let choice = Choice { channels: vec![Channel::EnsembleMembers], member: 0 };
+    let mut text = Vec::new();
+    export(&log, &choice, Format::Csv, &mut text).expect("a table");
+    let text = String::from_utf8(text).expect("text");
+    let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let names = lines.next().expect("a head");
+    let column = |name: &str| names.iter().position(|found| *found == name).expect("a column");
+    let members = contents(&log).members;
+    for (line, end) in lines.zip(&members) {
+        let condition = if end.stopped_by.is_some() { "/until/0" } else { "" };
+        assert_eq!(line[column("stopped_by")], condition);
+        let time_s: f64 = line[column("time_s")].parse().expect("a number");
+        assert_eq!(Some(time_s), end.last.as_ref().map(|last| last.time_s));
+    }
+    assert!(members.iter().any(|end| end.stopped_by.is_some()));
+}
+
 /// A kill leaves a beginning of the whole log; the run that resumes it ends with the whole, and
 /// does not run members again whose end it holds.
 #[test]
@@ -294,6 +422,8 @@ fn an_interrupted_ensemble_goes_on_to_the_same_bytes() {
         let method = json!({ "name": "vpd", "tableau": tableau });
         let mut scenario = ensemble(scene, 1500, 60, &method);
         scenario["log"]["every"] = json!(1);
+        // Some members stop before their time.
+        scenario["until"] = json!([{ "angle_above_rad": { "angle_rad": 0.5 } }]);
         let scenario = checked(&scenario);
         let reference = run(&scenario, &whole);
         let bytes = fs::read(&whole).expect("a log");

@@ -9,10 +9,14 @@ use std::thread;
 
 use serde_json::{Value, json};
 use vpd::advise;
+use vpd::export::{Choice, Format, export};
 use vpd::log::reader::{Message, read_samples};
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
 use vpd::verify::verify;
+
+use crate::ensemble::{contents, states};
+use crate::sweep::{lines, number, succeeds};
 
 fn run(scenario: &Value, log: &Path, control: &Control) -> Result<Summary, RunError> {
     let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario");
@@ -392,4 +396,107 @@ fn bad_orbits_and_faces_are_refused_at_their_field() {
     assert_eq!(refused(&damper).pointer, "/scene/control/through/wheels/moments_kg_m2");
     damper["scene"]["control"]["through"] = json!("torque");
     assert_eq!(refused(&damper).pointer, at);
+}
+
+/// Scenes with air, light, a node that drifts, friction in a wheel, coils and control, shortened.
+fn short(name: &str) -> Value {
+    let mut scenario = if name == "air-and-light" { air_and_light() } else { shipped(name) };
+    let fields = scenario.as_object_mut().expect("an object");
+    for name in ["expect", "duration_s", "until"] {
+        fields.remove(name);
+    }
+    fields.insert("steps".to_owned(), json!(400));
+    fields.insert("log".to_owned(), json!({ "every": 4 }));
+    scenario
+}
+
+/// Coefficients of what acts, and of control, are fields as others: a member of a sweep is the run with its value, to the bit, and
+/// another value is another motion.
+#[test]
+fn coefficients_are_fields_of_sweeps() {
+    for (name, pointer, values) in [
+        ("air-and-light", "/scene/torques/0/drag/density_kg_m3", [1e-12, 1e-10]),
+        ("air-and-light", "/scene/torques/0/drag/faces/0/coefficient", [1.5, 2.5]),
+        ("air-and-light", "/scene/torques/1/solar_pressure/pressure_n_m2", [0.0, 4.5e-6]),
+        ("air-and-light", "/scene/torques/1/solar_pressure/faces/1/area_m2", [0.1, 0.3]),
+        ("air-and-light", "/scene/field/dipole/orbit/j2/j2", [0.0, 2e-3]),
+        ("nutation-damper", "/scene/control/laws/0/wheel_friction/coefficient_n_m_s", [0.5, 1.0]),
+        ("slew", "/scene/control/laws/0/attitude/gain_n_m", [0.04, 0.08]),
+        ("slew", "/scene/control/laws/0/attitude/rate_gain_n_m_s", [0.4, 0.9]),
+        ("slew", "/scene/control/every_s", [0.1, 0.25]),
+        ("detumble", "/scene/control/laws/0/b_dot/gain_a_m2_s_per_t", [2e4, 5e4]),
+    ] {
+        let place = tempfile::tempdir().expect("a directory");
+        let at = place.path();
+        let scenario = short(name);
+        fs::write(at.join("scene.json"), scenario.to_string()).expect("writable");
+        let sweep = json!({
+            "scenario": "scene.json",
+            "vary": [{ "name": "varied", "pointer": pointer, "values": { "list": values } }]
+        });
+        fs::write(at.join("sweep.json"), sweep.to_string()).expect("writable");
+        succeeds(at, &["sweep", "sweep.json"]);
+        let lines = lines(at, "sweep.csv");
+        let mut ends = Vec::new();
+        for (line, value) in lines.iter().zip(values) {
+            let mut scenario = scenario.clone();
+            *scenario.pointer_mut(pointer).expect("a field") = json!(value);
+            let log = at.join("log.mcap");
+            let summary = run(&scenario, &log, &Control::default()).expect("a log");
+            let momentum = summary.last.body_momentum.as_array().expect("a vector").clone();
+            let momentum: Vec<f64> = momentum.iter().filter_map(Value::as_f64).collect();
+            let cells = ["x", "y", "z"].map(|axis| number(line, &format!("body_momentum_{axis}")));
+            assert_eq!(momentum, cells, "{pointer} {value}");
+            assert_eq!(number(line, "varied"), value);
+            assert_eq!(number(line, "time_s"), summary.time_s);
+            ends.push(momentum);
+        }
+        assert_ne!(ends[0], ends[1], "{pointer}");
+    }
+}
+
+/// Tables hold what acts, and so do the members of an ensemble, whose members in full are exported as a run is.
+#[test]
+fn what_acts_is_in_tables_and_ensembles() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = place.path().join("log.mcap");
+    for (name, columns) in [
+        ("air-and-light", vec!["work", "impulse_x"]),
+        ("nutation-damper", vec!["control_command_1", "wheel_momenta_1", "wheel_speeds_1"]),
+        ("slew", vec!["control_command_1", "pointing_error_rad", "wheel_momenta_3"]),
+        ("detumble", vec!["control_command_1", "control_field_3"]),
+    ] {
+        let mut scenario = short(name);
+        scenario["ensemble"] = json!({
+            "members": 11, "seed": 3, "attitude_spread_rad": 0.3, "momentum_spread": 1e-3, "in_full": [3]
+        });
+        let many = run(&scenario, &log, &Control::default()).expect("a log");
+        assert_eq!(many.ensemble.expect("an ensemble").succeeded, 11, "{name}");
+        let members = contents(&log).members;
+        let states = states(&log);
+        for member in [0, 3] {
+            let mut text = Vec::new();
+            let choice = Choice { channels: Vec::new(), member };
+            let found = export(&log, &choice, Format::Csv, &mut text).expect("a table");
+            assert_eq!(found.rows, 101, "{name}");
+            for column in &columns {
+                let has = found.columns.iter().any(|found| found.starts_with(column));
+                assert!(has, "{name}: {column} of {:?}", found.columns);
+            }
+            let text = String::from_utf8(text).expect("text");
+            let row: Vec<&str> = text.lines().last().expect("a row").split(',').collect();
+            let column = found.columns.iter().position(|name| name == "body_momentum_x");
+            let cell: f64 = row[column.expect("a column")].parse().expect("a number");
+            let end = members.iter().find(|end| end.member == member).expect("its end");
+            let last = end.last.as_ref().expect("a state");
+            assert_eq!(cell, last.body_momentum[0]);
+            assert_eq!(states[&member].last(), Some(last));
+        }
+        scenario.as_object_mut().expect("an object").remove("ensemble");
+        let single = run(&scenario, &log, &Control::default()).expect("a log");
+        let [a, b] = [many.last, single.last].map(|last| last.attitude.expect("computed").concat());
+        // Side by side the sums over the stages are in another order.
+        let apart = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-12, "{name} {apart:e}");
+    }
 }

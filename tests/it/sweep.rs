@@ -236,7 +236,7 @@ fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("text")
 }
 
-fn succeeds(at: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn succeeds(at: &Path, arguments: &[&str]) -> Output {
     let output = vpd(at, arguments);
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
     output
@@ -253,7 +253,7 @@ fn write(at: &Path, name: &str, sweep: &Value) {
 }
 
 /// Returns the lines of a table whose cells hold no quotes, by the heads of their columns.
-fn lines(at: &Path, name: &str) -> Vec<BTreeMap<String, String>> {
+pub(crate) fn lines(at: &Path, name: &str) -> Vec<BTreeMap<String, String>> {
     let table = fs::read_to_string(at.join(name)).expect("a table");
     assert!(!table.contains("NaN") && !table.contains("inf"), "{table}");
     let mut lines = table.lines();
@@ -266,7 +266,7 @@ fn lines(at: &Path, name: &str) -> Vec<BTreeMap<String, String>> {
     lines.map(cells).collect()
 }
 
-fn number(line: &BTreeMap<String, String>, column: &str) -> f64 {
+pub(crate) fn number(line: &BTreeMap<String, String>, column: &str) -> f64 {
     line[column].parse().unwrap_or_else(|_| panic!("{column}: {:?}", line[column]))
 }
 

@@ -445,23 +445,34 @@ fn b_dot_detumbles() {
 fn a_stop_ends_the_run() {
     let of_torque = control(0.1, slew(), Actuator::Torque { limit: 0.5 });
     let target = of_torque.target.clone().expect("given");
-    let below = Stop { condition: Condition::PointingErrorBelow(target.clone(), 1e-3), for_s: 2.0 };
+    let below = Stop {
+        condition: Condition::PointingErrorBelow(target.clone(), 1e-3),
+        for_s: 2.0,
+        exact: false,
+    };
     let body = RigidBody::new(moments(), Vec::new(), 0.0).with_control(of_torque);
     let (all, _) = run(&body, lanes(2), &start(), (0.1, 600, 1));
     let near =
         |s: &Sample<3>| target.error(s.time_s, &s.attitude.expect("it carries one")).1 < 1e-3;
     let body = body.with_stops(vec![
-        Stop { condition: Condition::EnergyErrorAbove(1.0), for_s: 0.0 },
+        Stop { condition: Condition::EnergyErrorAbove(1.0), for_s: 0.0, exact: false },
         below,
-        Stop { condition: Condition::AngleAbove(Target::fixed(Mat::identity()), PI), for_s: 0.0 },
+        Stop {
+            condition: Condition::AngleAbove(Target::fixed(Mat::identity()), PI),
+            for_s: 0.0,
+            exact: false,
+        },
     ]);
     let (samples, end) = run(&body, lanes(2), &start(), (0.1, 600, 10));
     assert_eq!(end.ending, Ending::Stopped(1));
     let last = samples.last().expect("there is one");
     let first = all.windows(21).position(|held| held.iter().all(near)).expect("it settles");
     assert_eq!(last.step, first as u64 + 20);
-    let free = RigidBody::new(moments(), Vec::new(), 0.0)
-        .with_stops(vec![Stop { condition: Condition::RateBelow(10.0), for_s: 0.0 }]);
+    let free = RigidBody::new(moments(), Vec::new(), 0.0).with_stops(vec![Stop {
+        condition: Condition::RateBelow(10.0),
+        for_s: 0.0,
+        exact: false,
+    }]);
     let (_, end) = run(&free, lanes(2), &start(), (0.1, 600, 10));
     assert_eq!((end.ending, end.reached.step), (Ending::Stopped(0), 1));
 }

@@ -95,12 +95,17 @@ pub(super) struct Ends<const N: usize> {
     drift: Vec<f64>,
     /// Number of failed members, by code.
     failed: BTreeMap<String, u64>,
+    /// Number of stopped members, by the pointer of the condition.
+    stopped: BTreeMap<String, u64>,
 }
 
 impl<const N: usize> Ends<N> {
     pub(super) fn add(&mut self, end: Member) {
         self.members.insert(end.member);
         self.steps += end.steps;
+        if let Some(condition) = end.stopped_by_pointer() {
+            *self.stopped.entry(condition).or_default() += 1;
+        }
         if end.outcome == SUCCEEDED {
             if let Some(state) = end.last.as_ref().and_then(|last| last.point()) {
                 self.arrived.add(&state);
@@ -137,7 +142,7 @@ impl<const N: usize> Ends<N> {
         self.nominal.as_ref()
     }
 
-    /// Returns the statistics of the members that made all their steps.
+    /// Returns the statistics of the members that succeeded, each where it ended.
     pub(super) fn statistics(&self, time_s: f64) -> EnsembleStatistics {
         EnsembleStatistics {
             time_s,
@@ -154,6 +159,7 @@ impl<const N: usize> Ends<N> {
         EnsembleSummary {
             members: self.count(),
             succeeded: statistics.members,
+            stopped: self.stopped.clone(),
             failed: self.failed.clone(),
             attitude_spread_rad: statistics.attitude_spread_rad,
             body_momentum_deviation: statistics.body_momentum_deviation.clone(),

@@ -3,14 +3,17 @@
 const CURVES = {
   energy_error: "Energy error", orthogonality_error: "Orthogonality error", momentum_drift: "Momentum drift",
   angular_velocity: "Angular velocity", body_momentum: "Body momentum", spatial_momentum: "Spatial momentum",
-  axis_angle: "Angles of the axes", step: "Step", axis_error: "Pointing error", roll_pitch_yaw: "Roll, pitch, yaw", relative_rate: "Rate relative to the frame",
+  axis_angle: "Angles of the axes", step: "Step", axis_error: "Pointing error of the axis", roll_pitch_yaw: "Roll, pitch, yaw", relative_rate: "Rate relative to the frame",
+  pointing_error: "Pointing error", control_command: "Commands", wheel_momenta: "Wheel momenta", wheel_speeds: "Wheel speeds",
 };
 // Those of channels that not every log has.
-const CHANNELS = { step: "/pace", axis_error: "/pointing", roll_pitch_yaw: "/pointing", relative_rate: "/pointing" };
+const CHANNELS = { step: "/pace", axis_error: "/pointing", roll_pitch_yaw: "/pointing", relative_rate: "/pointing",
+  pointing_error: "/control", control_command: "/control", wheel_momenta: "/control", wheel_speeds: "/control" };
 // Those of a scene of one body.
 const OF_ONE = ["angular_velocity", "body_momentum", "axis_angle"];
 const ERRORS = ["energy_error", "orthogonality_error", "momentum_drift"];
-const PARTS = { axis_angle: k => `axis ${k + 1}`, roll_pitch_yaw: k => ["roll", "pitch", "yaw"][k] };
+const PARTS = { axis_angle: k => `axis ${k + 1}`, roll_pitch_yaw: k => ["roll", "pitch", "yaw"][k],
+  control_command: k => `command ${k + 1}`, wheel_momenta: k => `wheel ${k + 1}`, wheel_speeds: k => `wheel ${k + 1}` };
 const HUES = { light: ["#00598c", "#b34700", "#00654a", "#8a3a78", "#6b5200", "#1c2024"], dark: ["#7cc4f2", "#ffa768", "#63d0ab", "#f0a3d8", "#e6cf6a", "#e8e6e1"] };
 const night = matchMedia("(prefers-color-scheme: dark)");
 

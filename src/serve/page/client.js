@@ -293,7 +293,8 @@ function outcome(job) {
   const { energy, orthogonality, momentum, ensemble } = summary;
   if (ensemble) {
     const failed = Object.entries(ensemble.failed ?? {}).map(([code, number]) => `, ${count(number)} ${code}`).join("");
-    parts[0] = `${count(ensemble.succeeded)} of ${counted(ensemble.members, "member")} finished${failed}, in ${span(summary.wall_s)}. Member 0:`;
+    const stopped = Object.entries(ensemble.stopped ?? {}).map(([pointer, number]) => `, ${count(number)} by ${pointer}`).join("");
+    parts[0] = `${count(ensemble.succeeded)} of ${counted(ensemble.members, "member")} finished${stopped}${failed}, in ${span(summary.wall_s)}. Member 0:`;
   }
   if (energy && plan?.balance) {
     const { initial, least, largest, last } = energy;

@@ -385,7 +385,7 @@ impl Members<3> for VpdEnsemble {
         }
     }
 
-    fn member(&mut self, m: usize) -> &dyn Stepper<3> {
+    fn member(&mut self, m: usize) -> &mut dyn Stepper<3> {
         self.written(m)
     }
 }
