@@ -321,3 +321,11 @@ def test_derivatives(dipole):
     assert np.array_equal(run.transition[0], np.eye(6))
     assert run.outcome["derivatives"]["symplectic_error"] < 1e-12
     assert "transition_1_2" in run.to_pandas() and "sensitivity_12" in run.to_pandas()
+    covariance = {"attitude_spread_rad": 0.01, "parameter_spreads": [0.1, 0]}
+    run = vpd.run(dipole | {"derivatives": {"state": True, "parameters": parameters, "covariance": covariance}})
+    start, moved = np.diag([1e-4] * 3 + [0] * 3), run.sensitivity[-1][0]
+    expected = run.transition[-1] @ start @ run.transition[-1].T + 0.01 * np.outer(moved, moved)
+    assert np.allclose(run.covariance[-1], expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    assert np.allclose(run.covariance[0][:3, :3], start[:3, :3])
+    assert run.outcome["covariance"]["attitude_spread_rad"] > 0
+    assert "covariance_6_6" in run.to_pandas()
