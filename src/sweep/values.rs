@@ -17,15 +17,18 @@ pub(super) struct Axis {
     seed: u64,
     /// Number of the field in the sweep.
     field: u64,
+    /// Of correlated normal values the fields of whose numbers theirs are made, with their weights.
+    weights: Vec<(u64, f64)>,
     /// The parts of a Latin hypercube in their random order.
     order: Vec<u32>,
 }
 
 impl Axis {
-    pub(super) fn new(values: &Values, seed: u64, field: usize) -> Self {
-        let mut axis =
-            Self { values: values.clone(), seed, field: field as u64, order: Vec::new() };
-        if let Values::LatinHypercube(span) = values {
+    /// Returns the values of a field; `weights` are those of [`super::file::Correlation::weights`].
+    pub(super) fn new(values: &Values, seed: u64, field: usize, weights: Vec<(u64, f64)>) -> Self {
+        let (values, field) = (values.clone(), field as u64);
+        let mut axis = Self { values, seed, field, weights, order: Vec::new() };
+        if let Values::LatinHypercube(span) = axis.values {
             axis.order = axis.shuffled(span.count as u32);
         }
         axis
@@ -49,7 +52,13 @@ impl Axis {
                 number(between(*span, place / span.count as f64))
             }
             Values::Normal(Normal { mean, deviation, .. }) => {
-                let x: f64 = StandardNormal.sample(&mut self.random(at));
+                // x = L z, z the independent numbers of the fields.
+                let own = [(self.field, 1.0)];
+                let weights = if self.weights.is_empty() { &own[..] } else { &self.weights };
+                let x = weights.iter().fold(0.0, |sum, (field, weight)| {
+                    let z: f64 = StandardNormal.sample(&mut self.random_of(*field, at));
+                    sum + weight * z
+                });
                 number(mean + deviation * x)
             }
         }
@@ -57,8 +66,13 @@ impl Axis {
 
     /// Returns the random numbers of a value.
     fn random(&self, at: u64) -> ChaCha8Rng {
+        self.random_of(self.field, at)
+    }
+
+    /// Returns those of a value of another field.
+    fn random_of(&self, field: u64, at: u64) -> ChaCha8Rng {
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
-        random.set_stream((self.field << 32) | at);
+        random.set_stream((field << 32) | at);
         random
     }
 

@@ -37,6 +37,8 @@ fn top(steps: u64) -> Value {
 const TILT: &str = "/scene/initial/attitude/axis_angle/angle_rad";
 const SPIN: &str = "/scene/initial/angular_velocity/body/2";
 
+const WEIGHT: &str = "/scene/potential/0/weight";
+
 fn of(sweep: &Value) -> Sweep {
     Sweep::from_json(sweep.to_string().as_bytes()).expect("a good sweep")
 }
@@ -109,6 +111,71 @@ fn random_values_follow_their_law_and_their_seed() {
     }
     let agree = parts[0].iter().zip(&parts[1]).filter(|(a, b)| a == b).count();
     assert!(agree < 20, "{agree}");
+}
+
+/// Normal values have the correlation that is asked for, also where one follows from the others; those of fields that are not in the
+/// matrix stay what they are.
+#[test]
+fn normal_values_are_correlated_by_a_matrix() {
+    const COUNT: usize = 4000;
+    let field = |pointer: &str, mean: f64, deviation: f64| json!({ "pointer": pointer, "values": { "normal": { "mean": mean, "deviation": deviation, "count": COUNT } } });
+    let mut file = json!({
+        "scenario": top(1), "combine": "side_by_side", "seed": 2,
+        "vary": [field(WEIGHT, 5.0, 0.1), field(SPIN, 40.0, 2.0), field(TILT, 0.5, 0.05), field("/step_s", 1.0, 0.1)]
+    });
+    let pointers = [SPIN, TILT, WEIGHT];
+    let columns = |file: &Value| {
+        let sweep = of(file);
+        pointers.map(|pointer| values(&sweep, pointer))
+    };
+    let independent = columns(&file);
+    // The last is (first + second) / sqrt 3: singular.
+    let by_both = 1.5 / 3.0_f64.sqrt();
+    for (matrix, bound) in [
+        ([[1.0, 0.8, 0.0], [0.8, 1.0, -0.3], [0.0, -0.3, 1.0]], None),
+        ([[1.0, 0.5, by_both], [0.5, 1.0, by_both], [by_both, by_both, 1.0]], Some(3.0_f64.sqrt())),
+    ] {
+        file["correlation"] = json!({ "pointers": pointers, "matrix": matrix });
+        let sweep = of(&file);
+        assert_eq!(
+            values(&sweep, "/step_s"),
+            values(
+                &of(&{
+                    let mut plain = file.clone();
+                    plain.as_object_mut().expect("fields").remove("correlation");
+                    plain
+                }),
+                "/step_s"
+            )
+        );
+        let found = columns(&file);
+        assert_eq!(found[0], independent[0], "the first is as it was");
+        let scaled: Vec<Vec<f64>> = found
+            .iter()
+            .zip([(40.0, 2.0), (0.5, 0.05), (5.0, 0.1)])
+            .map(|(column, (mean, deviation))| {
+                column.iter().map(|x| (x - mean) / deviation).collect()
+            })
+            .collect();
+        for i in 0..3 {
+            for j in 0..3 {
+                let products = scaled[i].iter().zip(&scaled[j]).map(|(x, y)| x * y);
+                let seen = products.sum::<f64>() / COUNT as f64;
+                let expected: f64 = matrix[i][j];
+                let standard_error = ((1.0 + expected * expected) / COUNT as f64).sqrt();
+                assert!((seen - expected).abs() < 5.0 * standard_error, "{i}, {j}: {seen}");
+            }
+        }
+        let Some(root) = bound else { continue };
+        for ((x, y), z) in scaled[0].iter().zip(&scaled[1]).zip(&scaled[2]) {
+            assert!(((x + y) / root - z).abs() < 1e-10, "{x}, {y}, {z}");
+        }
+    }
+    // The table depends on it.
+    let digest = of(&file).digest();
+    file["correlation"]["matrix"] = json!([[1, 0, 0], [0, 1, 0], [0, 0, 1]]);
+    assert_ne!(of(&file).digest(), digest);
+    assert_eq!(columns(&file), independent);
 }
 
 #[test]
@@ -203,6 +270,32 @@ fn a_bad_sweep_is_refused_at_its_field() {
         sweep[field] = value.clone();
         let error = Sweep::from_json(sweep.to_string().as_bytes()).expect_err(pointer);
         assert_eq!(error.pointer, pointer, "{value}: {}", error.message);
+    }
+    let normal = |pointer: &str, count: u64| json!({ "pointer": pointer, "values": { "normal": { "mean": 1, "deviation": 0.1, "count": count } } });
+    let pair = json!([SPIN, TILT]);
+    for (pointers, matrix, combine, pointer) in [
+        (pair.clone(), json!([[1, 2], [2, 1]]), "side_by_side", "/matrix/0/1"),
+        (pair.clone(), json!([[1, 0.5], [0.4, 1]]), "side_by_side", "/matrix/1/0"),
+        (pair.clone(), json!([[1, 0.5], [0.5, 0.9]]), "side_by_side", "/matrix/1/1"),
+        (pair.clone(), json!([[1, 0.5]]), "side_by_side", "/matrix"),
+        (pair.clone(), json!([[1, 0.5], [0.5, 1]]), "product", ""),
+        (pair.clone(), json!([[1, 0.5], [0.5, 1]]), "saltelli", ""),
+        (json!([SPIN, SPIN]), json!([[1, 1], [1, 1]]), "side_by_side", "/pointers/1"),
+        (json!([SPIN, "/step_s"]), json!([[1, 0], [0, 1]]), "side_by_side", "/pointers/1"),
+        (
+            json!([SPIN, TILT, WEIGHT]),
+            json!([[1, -0.9, -0.9], [-0.9, 1, -0.9], [-0.9, -0.9, 1]]),
+            "side_by_side",
+            "/matrix",
+        ),
+    ] {
+        let mut sweep = one(&linear(2));
+        sweep["vary"] = json!([normal(SPIN, 4), normal(TILT, 4), normal(WEIGHT, 4)]);
+        sweep["combine"] = json!(combine);
+        sweep["correlation"] = json!({ "pointers": pointers, "matrix": matrix });
+        let error = Sweep::from_json(sweep.to_string().as_bytes()).expect_err(pointer);
+        let pointer = format!("/correlation{pointer}");
+        assert_eq!(error.pointer, pointer, "{sweep}: {}", error.message);
     }
     let mut many = one(&linear(2));
     many["scenario"]["ensemble"] = json!({ "members": 3, "momentum_spread": 0.1 });
