@@ -48,7 +48,7 @@ pub use report::{Asked, Column, Histogram, Holds, Probability, Report};
 pub(crate) use shown::{Cell, Kind, Shown, Side};
 pub use table::merge;
 use table::{Identity, Part, cell, figure};
-use values::Axis;
+use values::{Axis, Sequence};
 
 /// Largest number of members of a sweep.
 pub const MOST_MEMBERS: u64 = 1_000_000;
@@ -143,7 +143,12 @@ impl Sweep {
         let columns = columns.chain(tail).chain(scores).collect();
         let axis = |(at, field): (usize, &Vary)| {
             let weights = file.correlation.iter().flat_map(|it| it.weights(&file.vary, at));
-            Axis::new(&field.values, file.seed, at, weights.collect())
+            let axis = Axis::new(&field.values, file.seed, at, weights.collect());
+            let (fields, rows) = (file.vary.len() as u64, field.values.count() / 2);
+            match file.combine {
+                Combine::Saltelli => axis.in_sequence(Sequence { fields, rows }),
+                Combine::Product | Combine::SideBySide => axis,
+            }
         };
         let axes = file.vary.iter().enumerate().map(axis).collect();
         let sweep = Self { file, base, tree, axes, members, columns };

@@ -271,7 +271,7 @@ pub(crate) enum Combine {
     Product,
     /// The first of each, the second of each, ..: all have as many values.
     SideBySide,
-    /// For Sobol's indices (Saltelli et al. 2010), of random values, 2 N of each field: N rows, each of a member with the first
+    /// For Sobol's indices (Saltelli et al. 2010), of 2 N values of each field from a scrambled sequence of Sobol: N rows, each of a member with the first
     /// halves, one with the second halves, and for each field one with the first halves but for that.
     Saltelli,
 }

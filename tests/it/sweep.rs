@@ -5,10 +5,13 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
+use chacha20::ChaCha8Rng;
+use chacha20::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};
 use vpd::advise;
 use vpd::run::{Control, JobContext, execute};
 use vpd::scenario::Scenario;
+use vpd::sweep::statistics::sobol;
 use vpd::sweep::{Sweep, schema};
 
 use crate::cli::vpd;
@@ -176,6 +179,89 @@ fn normal_values_are_correlated_by_a_matrix() {
     file["correlation"]["matrix"] = json!([[1, 0, 0], [0, 1, 0], [0, 0, 1]]);
     assert_ne!(of(&file).digest(), digest);
     assert_eq!(columns(&file), independent);
+}
+
+/// Values for Sobol's indices: of each field even in both halves, follow their law, and give the indices of Ishigami's function better
+/// than independent ones.
+#[test]
+fn values_for_indices_are_even() {
+    const ROWS: usize = 1024;
+    let pi = std::f64::consts::PI;
+    let uniform = json!({ "uniform": { "from": -pi, "to": pi, "count": 2 * ROWS } });
+    let normal = json!({ "normal": { "mean": 5, "deviation": 0.5, "count": 2 * ROWS } });
+    let sweep = |seed: u64, values: &Value| {
+        of(&json!({
+            "scenario": top(1), "combine": "saltelli", "seed": seed,
+            "vary": [
+                { "pointer": SPIN, "values": values },
+                { "pointer": TILT, "values": uniform },
+                { "pointer": "/scene/initial/angular_velocity/body/0", "values": uniform },
+            ]
+        }))
+    };
+    let halves = |column: &[f64], kind: usize| -> Vec<f64> {
+        column.iter().skip(kind).step_by(5).copied().collect()
+    };
+    // One value in each of the parts of equal probability.
+    let of_spin = values(&sweep(1, &uniform), SPIN);
+    let of_normal = values(&sweep(1, &normal), SPIN);
+    for kind in [0, 1] {
+        let mut parts: Vec<usize> = halves(&of_spin, kind)
+            .iter()
+            .map(|x| ((x + pi) / (2.0 * pi) * ROWS as f64) as usize)
+            .collect();
+        assert!(parts.windows(2).any(|pair| pair[0] > pair[1]), "not in order");
+        parts.sort_unstable();
+        assert!(parts.iter().copied().eq(0..ROWS), "{kind}");
+        let found = halves(&of_normal, kind);
+        let mean = found.iter().sum::<f64>() / ROWS as f64;
+        let variance = found.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / ROWS as f64;
+        assert!((mean - 5.0).abs() < 1e-3 && (variance.sqrt() - 0.5).abs() < 3e-3, "{mean}");
+    }
+    let ishigami = |x: [f64; 3]| {
+        let (s, t) = (libm::sin(x[0]), libm::sin(x[1]));
+        s + 7.0 * t * t + 0.1 * x[2].powi(4) * s
+    };
+    let truth = [(0.313_9, 0.557_6), (0.442_4, 0.442_4), (0.0, 0.243_7)];
+    let squares = |rows: &[Vec<f64>]| {
+        sobol(rows, 0.95).iter().zip(truth).fold(0.0, |sum, (found, (first, total))| {
+            sum + (found.first.value - first).powi(2) + (found.total.value - total).powi(2)
+        })
+    };
+    let (mut even, mut independent) = (0.0, 0.0);
+    for seed in 0..4 {
+        let sweep = sweep(seed, &uniform);
+        let point = |member: u64| {
+            let changed = sweep.scenario(member).expect("a scenario").to_json();
+            let changed: Value = serde_json::from_slice(&changed).expect("JSON");
+            let number = |pointer| changed.pointer(pointer).and_then(Value::as_f64);
+            [SPIN, TILT, "/scene/initial/angular_velocity/body/0"]
+                .map(|pointer| number(pointer).expect("a number"))
+        };
+        let rows = |point: &mut dyn FnMut(u64) -> [f64; 3]| -> Vec<Vec<f64>> {
+            let row = |row: u64| (0..5).map(|kind| ishigami(point(5 * row + kind))).collect();
+            (0..ROWS as u64).map(row).collect()
+        };
+        even += squares(&rows(&mut |member| point(member)));
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut unit = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+        let mut halves = [[0.0; 3]; 2];
+        independent += squares(&rows(&mut |member| {
+            let kind = member as usize % 5;
+            if kind == 0 {
+                halves =
+                    std::array::from_fn(|_| std::array::from_fn(|_| pi * (2.0 * unit() - 1.0)));
+            }
+            let [a, b] = halves;
+            std::array::from_fn(|k| if kind == 1 || kind == k + 2 { b[k] } else { a[k] })
+        }));
+    }
+    println!(
+        "root mean square of the errors: {:.1e}, {:.1e}",
+        (even / 24.0).sqrt(),
+        (independent / 24.0).sqrt()
+    );
+    assert!(9.0 * even < independent, "{even:e}, {independent:e}");
 }
 
 #[test]
