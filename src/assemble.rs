@@ -88,7 +88,11 @@ fn assembly<const N: usize>(
                         asked.state,
                         plan.parameters(),
                     );
-                    Box::new(with.expect("the scenario was checked: nothing drives the body"))
+                    let with = with.expect("the scenario was checked: nothing drives the body");
+                    Box::new(match plan.uncertainty() {
+                        Some(uncertainty) => with.with_uncertainty(uncertainty),
+                        None => with,
+                    })
                 }
                 None => stepper,
             },

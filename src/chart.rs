@@ -84,10 +84,11 @@ const ORTHOGONALITY: Axis<'static> =
     Axis { label: "spectral norm of g g^T - I", scale: Scale::Log };
 const PACE: Axis<'static> = Axis { label: "1 / sigma = dtau / dt", scale: Scale::Log };
 const POINTING: Axis<'static> = Axis { label: "angle of the axis in rad", scale: Scale::Log };
+const SPREAD: Axis<'static> = Axis { label: "root mean square angle in rad", scale: Scale::Log };
 const MOMENTUM: Axis<'static> = Axis { label: "drift in kg m^2/s", scale: Scale::Log };
 
-/// Draws `energy.svg`, `orthogonality.svg` and `momentum.svg` from logs into `directory`, one line a log
-/// and named after its file, as far as a log has the channels. Returns the paths of the charts.
+/// Draws the charts of [`LogChart`] from logs into `directory`, one line a log and named after its file, as far as a log has
+/// the channels. Returns the paths of the charts.
 ///
 /// # Errors
 /// If a log cannot be read, none has any of the channels, or a file cannot be written.
@@ -129,6 +130,7 @@ fn empty(which: LogChart) -> Plot<'static> {
         LogChart::Momentum => over_time("Drift of the conserved spatial momentum", MOMENTUM),
         LogChart::Pace => over_time("How much the steps shorten", PACE),
         LogChart::Pointing => over_time("Pointing error", POINTING),
+        LogChart::Spread => over_time("Spread of the attitude", SPREAD),
     }
 }
 

@@ -603,6 +603,30 @@ fn may_write(path: &Path) -> Result<(), CliError> {
     }
 }
 
+/// Writes a file under another name first, so that whatever is at `path` is whole.
+fn to_file<T>(
+    path: &Path,
+    write: impl FnOnce(&fs::File) -> Result<T, CliError>,
+) -> Result<T, CliError> {
+    let failed = |source| CliError::Write { path: path.to_owned(), source };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".vpd-");
+    // The usual permissions of a file of this user, as umask leaves them.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let new = builder.tempfile_in(folder.unwrap_or(Path::new("."))).map_err(failed)?;
+    let written = write(new.as_file())?;
+    new.persist(path).map_err(|error| failed(error.error))?;
+    Ok(written)
+}
+
+/// Writes a whole file, under another name first.
+fn write_whole(path: &Path, text: &[u8]) -> Result<(), CliError> {
+    let failed = |source| CliError::Write { path: path.to_owned(), source };
+    to_file(path, |mut out| out.write_all(text).map_err(failed))
+}
+
 fn exit_code(outcome: Outcome) -> Status {
     match outcome {
         Outcome::Succeeded => Status::SUCCESS,

@@ -267,7 +267,7 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
     match (quantity, width) {
         (_, 0) => Vec::new(),
         ("quaternion" | "frame_quaternion", 4) => label(&["w", "x", "y", "z"]),
-        ("attitude" | "mean_attitude" | "transition", _) => {
+        ("attitude" | "mean_attitude" | "transition" | "covariance", _) => {
             pairs(width.isqrt()).map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
         (

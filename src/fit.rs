@@ -115,7 +115,8 @@ pub struct Fit {
 pub fn fit(question: Question<'_>) -> Result<Fit, FitError> {
     let Question { scenario, fields, start_attitude, seen } = question;
     let mut asked = scenario.clone();
-    asked.derivatives = Some(Derivatives { state: start_attitude, parameters: fields.to_vec() });
+    asked.derivatives =
+        Some(Derivatives { state: start_attitude, parameters: fields.to_vec(), covariance: None });
     asked.check().map_err(as_asked)?;
     let plan = Plan::new(&asked)?;
     let d = so::dimension(plan.dimension);

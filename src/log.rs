@@ -32,6 +32,7 @@ pub mod rows;
 pub mod samples;
 pub mod scene;
 pub mod schema;
+mod spread;
 pub mod stretch;
 pub mod writer;
 

@@ -24,7 +24,7 @@ use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::solve::failure::Failure;
-use crate::solve::state::Checkpoint;
+use crate::solve::state::{Checkpoint, Derivatives};
 use crate::solve::trajectory::{self, Ending, Origin, Sample, Schedule, Sink, Trajectory};
 use crate::study::Watch;
 
@@ -49,8 +49,8 @@ pub use record::Recording;
 pub use simulation::{Advanced, Simulation};
 use summary::{Advised, EnergySeen};
 pub use summary::{
-    DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary, FinalBody, FinalState,
-    MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
+    CovarianceSummary, DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary, FinalBody,
+    FinalState, MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
 };
 
 /// Inputs that a run shares with other threads.
@@ -309,8 +309,9 @@ fn run<const N: usize>(
     let Recorder { keep, figures, course, .. } = recorder;
     let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
     let derivatives = DerivativesSummary::of(&reached, initial);
+    let covariance = CovarianceSummary::of(&reached);
     let mut reached = Reached::from(&reached);
-    reached.derivatives = derivatives;
+    (reached.derivatives, reached.covariance) = (derivatives, covariance);
     let stopped = match ending {
         Ending::Stopped(number) => stopped(plan, number, time_s),
         _ => None,
@@ -554,6 +555,10 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
     }
     if let (Some(pointed), Some(time_ns)) = (sample.pointing, log_time(epoch_ns, sample.time_s)) {
         course.note(time_ns, LogChart::Pointing, pointed.axis_error_rad);
+    }
+    let spread = sample.derivatives.as_ref().and_then(Derivatives::attitude_spread_rad);
+    if let (Some(spread), Some(time_ns)) = (spread, log_time(epoch_ns, sample.time_s)) {
+        course.note(time_ns, LogChart::Spread, spread);
     }
 }
 

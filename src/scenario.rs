@@ -37,7 +37,7 @@ pub use control::{
     AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, Law, Magnetorquers,
     Noise, OrbitTarget, Pointing, Stop, Target, Through, TurningTarget, WheelFriction, Wheels,
 };
-pub use derivatives::Derivatives;
+pub use derivatives::{Covariance, Derivatives};
 pub use driven::{
     DrivenTerm, Factor, Harmonic, Interpolation, OfMomentum, Orbit, Path, Table, Torque,
     TorqueTable, Turning, Viscous,
@@ -46,7 +46,7 @@ pub use ensemble::Ensemble;
 pub use faces::{Drag, DragFace, LitFace, SolarPressure};
 pub use orbit::{FieldOrbit, Oblateness};
 pub(crate) use parse::{from_tree, read_text, tree as read_tree, without_mark};
-pub(crate) use range::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
+pub(crate) use range::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure, semidefinite};
 pub use steps::{Adaptive, Steps};
 pub use term::*;
 

@@ -48,7 +48,7 @@ pub use report::{Asked, Column, Histogram, Holds, Probability, Report};
 pub(crate) use shown::{Cell, Kind, Shown, Side};
 pub use table::merge;
 use table::{Identity, Part, cell, figure};
-use values::Axis;
+use values::{Axis, Sequence};
 
 /// Largest number of members of a sweep.
 pub const MOST_MEMBERS: u64 = 1_000_000;
@@ -141,8 +141,16 @@ impl Sweep {
         let scores = file.scores.iter().map(|score| score.name.clone());
         let columns = head[..1].iter().cloned().chain(varied).chain(head[1..].iter().cloned());
         let columns = columns.chain(tail).chain(scores).collect();
-        let axes = file.vary.iter().enumerate();
-        let axes = axes.map(|(at, field)| Axis::new(&field.values, file.seed, at)).collect();
+        let axis = |(at, field): (usize, &Vary)| {
+            let weights = file.correlation.iter().flat_map(|it| it.weights(&file.vary, at));
+            let axis = Axis::new(&field.values, file.seed, at, weights.collect());
+            let (fields, rows) = (file.vary.len() as u64, field.values.count() / 2);
+            match file.combine {
+                Combine::Saltelli => axis.in_sequence(Sequence { fields, rows }),
+                Combine::Product | Combine::SideBySide => axis,
+            }
+        };
+        let axes = file.vary.iter().enumerate().map(axis).collect();
         let sweep = Self { file, base, tree, axes, members, columns };
         sweep.check_form()?;
         Ok(sweep)
@@ -225,10 +233,13 @@ impl Sweep {
 
     /// Returns the SHA-256 of everything that the table depends on, in hexadecimal digits.
     pub fn digest(&self) -> String {
-        let SweepFile { scenario, vary, combine, seed, scores, .. } = &self.file;
-        let text = json!({
+        let SweepFile { scenario, vary, combine, correlation, seed, scores, .. } = &self.file;
+        let mut text = json!({
             "scenario": scenario, "vary": vary, "combine": combine, "seed": seed, "scores": scores,
         });
+        if let Some(correlation) = correlation {
+            text["correlation"] = json!(correlation);
+        }
         let digest = Sha256::digest(text.to_string().as_bytes());
         digest.iter().map(|byte| format!("{byte:02x}")).collect()
     }

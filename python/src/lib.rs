@@ -27,6 +27,7 @@ mod _native {
     use vpd::advise::Settled;
     use vpd::chart::draw_course;
     use vpd::diff::{Tolerance, diff as compared};
+    use vpd::fit::{FitError, Question, fit as fitted, read as seen};
     use vpd::log::LogError;
     use vpd::log::columns::Columns;
     use vpd::log::course::{Course, LogChart};
@@ -230,6 +231,31 @@ mod _native {
         let agree = found.agrees();
         found.over_time = found.rows(rows);
         Ok((json(py, &found)?, agree))
+    }
+
+    /// Fits fields of a scenario to the attitudes in a log or a table; returns what was found and the fitted scenario as JSON.
+    #[pyfunction]
+    fn fit(
+        py: Python<'_>,
+        text: &[u8],
+        to: PathBuf,
+        fields: Vec<String>,
+        start_attitude: bool,
+    ) -> PyResult<(String, String)> {
+        let scenario = settled(py, text, &Control::default())?.asked;
+        let made = watched(py, || (), Follow::default(), || {
+            let seen = seen(&to)?;
+            fitted(Question { scenario: &scenario, fields: &fields, start_attitude, seen: &seen })
+        })?;
+        let found = made.map_err(|error: FitError| match error {
+            FitError::Scenario(mut error) => {
+                // An argument, which the command line names as its own.
+                error.pointer = error.pointer.trim_start_matches("--").to_owned();
+                no_scenario(py, &error, text)
+            }
+            error => other(py, &error.to_string()),
+        })?;
+        Ok((json(py, &found)?, json(py, &found.scenario)?))
     }
 
     /// Runs a sweep into a table; returns its counts as JSON.

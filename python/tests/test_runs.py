@@ -242,6 +242,35 @@ def test_diff(dipole, tmp_path):
         vpd.diff(a, b, tolerance={"colour": 1.0})
 
 
+def test_fit(command, dipole, tmp_path):
+    fields = ["/scene/inertia/principal/2", "/scene/potential/1/strength"]
+    seen = vpd.run(dipole, log=tmp_path / "seen.mcap")
+    off = {field: 1.02 * value for field, value in zip(fields, _at(dipole, fields))}
+    found = vpd.fit(dipole, seen, fields, set=off)
+    for one, truth in zip(found["fitted"], _at(dipole, fields)):
+        assert one["before"] == off[one["field"]] and abs(one["value"] / truth - 1) < 1e-9
+    assert found["after_rad"] < 1e-9 < found["before_rad"] and len(found["covariance"]) == 2
+    assert _at(found["scenario"], fields) == [one["value"] for one in found["fitted"]]
+    assert len(vpd.run(found["scenario"])) == len(seen)
+    # A table has the same attitudes, and the command line finds the same.
+    command("export", tmp_path / "seen.mcap", "-o", tmp_path / "seen.csv")
+    assert vpd.fit(dipole, tmp_path / "seen.csv", fields, set=off)["fitted"] == found["fitted"]
+    with pytest.raises(vpd.ScenarioError) as caught:
+        vpd.fit(dipole, seen, ["/step_s"])
+    assert "/step_s" in caught.value.message
+    with pytest.raises(vpd.Error, match="no log"):
+        vpd.fit(dipole, vpd.run(dipole), fields)
+
+
+def _at(scene, pointers):
+    def value(tree, pointer):
+        for key in pointer.split("/")[1:]:
+            tree = tree[int(key) if isinstance(tree, list) else key]
+        return tree
+
+    return [value(scene, pointer) for pointer in pointers]
+
+
 def test_a_sweep_is_that_of_the_command_line(command, dipole, tmp_path):
     sweep = {
         "scenario": dipole,
@@ -321,3 +350,11 @@ def test_derivatives(dipole):
     assert np.array_equal(run.transition[0], np.eye(6))
     assert run.outcome["derivatives"]["symplectic_error"] < 1e-12
     assert "transition_1_2" in run.to_pandas() and "sensitivity_12" in run.to_pandas()
+    covariance = {"attitude_spread_rad": 0.01, "parameter_spreads": [0.1, 0]}
+    run = vpd.run(dipole | {"derivatives": {"state": True, "parameters": parameters, "covariance": covariance}})
+    start, moved = np.diag([1e-4] * 3 + [0] * 3), run.sensitivity[-1][0]
+    expected = run.transition[-1] @ start @ run.transition[-1].T + 0.01 * np.outer(moved, moved)
+    assert np.allclose(run.covariance[-1], expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    assert np.allclose(run.covariance[0][:3, :3], start[:3, :3])
+    assert run.outcome["covariance"]["attitude_spread_rad"] > 0
+    assert "covariance_6_6" in run.to_pandas()

@@ -79,12 +79,22 @@ pub struct Derivatives {
     pub transition: Vec<f64>,
     /// By parameters, one after another: 2d numbers for each.
     pub sensitivity: Vec<f64>,
+    /// Covariance of the change of the state, 2d x 2d, row by row. Empty if none was given at the start.
+    pub covariance: Vec<f64>,
 }
 
 impl Derivatives {
     /// Is every number of them finite?
     pub(super) fn is_finite(&self) -> bool {
-        self.transition.iter().chain(&self.sensitivity).all(|x| x.is_finite())
+        let Self { transition, sensitivity, covariance } = self;
+        transition.iter().chain(sensitivity).chain(covariance).all(|x| x.is_finite())
+    }
+
+    /// Root mean square of |xi|, in radians: the root of the sum of the variances of the attitude. `None` without a covariance.
+    pub fn attitude_spread_rad(&self) -> Option<f64> {
+        let rows = self.covariance.len().isqrt();
+        let variances = self.covariance.iter().step_by(rows + 1).take(rows / 2);
+        (rows > 0).then(|| variances.sum::<f64>().max(0.0).sqrt())
     }
 }
 

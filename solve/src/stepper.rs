@@ -151,8 +151,8 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>>: Send {
         None
     }
 
-    /// The derivatives of the state by the start and by parameters; `None` from a stepper that does not carry them along.
-    fn derivatives(&self) -> Option<&Derivatives> {
+    /// The derivatives of the state by the start and by parameters, and their covariance; `None` from a stepper that does not carry them along.
+    fn derivatives(&self) -> Option<Derivatives> {
         None
     }
 

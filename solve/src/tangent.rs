@@ -57,7 +57,7 @@ mod lyapunov;
 mod vectors;
 
 pub use adjoint::Gradient;
-pub use carried::{Parameter, WithDerivatives};
+pub use carried::{Parameter, Uncertainty, WithDerivatives};
 pub use lyapunov::Lyapunov;
 
 /// Why there is no derivative.

@@ -526,7 +526,7 @@ impl<const N: usize> Bookkeeping<N> {
         match sample {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
-                reached.derivatives = stepper.derivatives().cloned();
+                reached.derivatives = stepper.derivatives();
                 if step == 0 {
                     // The state as given, not as the scheme's variables hold it: a checkpoint there
                     // changes nothing.
@@ -671,7 +671,7 @@ impl<const N: usize> Observer<N> {
                 .filter(|sample| asked.control && is_at(sample.time_s, time_s))
                 .cloned(),
             pointing,
-            derivatives: stepper.derivatives().filter(|_| asked.derivatives).cloned(),
+            derivatives: if asked.derivatives { stepper.derivatives() } else { None },
         };
         if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{CliError, ScenarioArgs, Status, may_write, planned, print_json, show};
+use super::{CliError, ScenarioArgs, Status, may_write, planned, print_json, show, write_whole};
 use crate::fit::{Fit, FitError, Question, fit as fitted, read};
 
 #[derive(Debug, Args)]
@@ -68,15 +68,13 @@ pub(super) fn fit(args: &FitArgs) -> Result<Status, CliError> {
         }
         error => CliError::Fit(error),
     })?;
-    let write = |path: &PathBuf, text: &[u8]| {
-        std::fs::write(path, text).map_err(|source| CliError::Write { path: path.clone(), source })
-    };
     if let Some(path) = &args.output {
-        write(path, &found.scenario.to_json())?;
+        write_whole(path, &found.scenario.to_json())?;
     }
     #[cfg(feature = "chart")]
     if let Some(path) = &args.chart {
-        write(path, crate::chart::residuals(found.scenario.name(), &found)?.as_bytes())?;
+        let svg = crate::chart::residuals(found.scenario.name(), &found)?;
+        write_whole(path, svg.as_bytes())?;
     }
     if args.json {
         print_json(&found)?;

@@ -1,13 +1,14 @@
 //! `vpd export` and `vpd diff`: tables of logs, and comparisons of two.
 
-use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 
-use super::{CliError, Status, a_log, enough, may_write, output_path, print_json, show};
+use super::{
+    CliError, Status, a_log, enough, may_write, output_path, print_json, show, to_file, write_whole,
+};
 use crate::diff::{self, Comparison, Quantity, Tolerance};
 use crate::export::{self, Choice, ExportError, Format};
 use crate::log::schema::Channel;
@@ -118,24 +119,6 @@ fn reported(log: &Path, damage: Option<String>) -> Status {
     Status::SUCCESS
 }
 
-/// Writes a file under another name first, so that whatever is at `path` is whole.
-fn to_file<T>(
-    path: &Path,
-    write: impl FnOnce(&fs::File) -> Result<T, CliError>,
-) -> Result<T, CliError> {
-    let failed = |source| CliError::Write { path: path.to_owned(), source };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".vpd-");
-    // The usual permissions of a file of this user, as umask leaves them.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let new = builder.tempfile_in(folder.unwrap_or(Path::new("."))).map_err(failed)?;
-    let written = write(new.as_file())?;
-    new.persist(path).map_err(|error| failed(error.error))?;
-    Ok(written)
-}
-
 /// Compares two logs: 0 if they agree, 1 if they do not.
 pub(super) fn diff(args: &DiffArgs) -> Result<Status, CliError> {
     let logs = [a_log(&args.first)?, a_log(&args.second)?];
@@ -145,7 +128,7 @@ pub(super) fn diff(args: &DiffArgs) -> Result<Status, CliError> {
         may_write(path)?;
         let names = logs.map(|log| log.display().to_string());
         let svg = crate::chart::differences(&names.join(" and "), &found)?;
-        fs::write(path, svg).map_err(|source| CliError::Write { path: path.clone(), source })?;
+        write_whole(path, svg.as_bytes())?;
     }
     let agree = found.agrees();
     found.over_time = found.rows(args.rows);

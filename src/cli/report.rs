@@ -63,8 +63,7 @@ pub(super) fn report(args: &ReportArgs) -> Result<Status, CliError> {
     if let Some(path) = &args.html {
         super::may_write(path)?;
         let page = crate::chart::report(&found)?;
-        std::fs::write(path, page)
-            .map_err(|source| CliError::Write { path: path.clone(), source })?;
+        super::write_whole(path, page.as_bytes())?;
     }
     if args.json {
         print_json(&found)?;

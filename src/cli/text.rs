@@ -104,6 +104,15 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
             ),
         );
     }
+    if let Some(covariance) = &summary.covariance {
+        line(
+            "covariance",
+            format!(
+                "attitude to {:.3e} rad, at most {:.3e} rad in a direction",
+                covariance.attitude_spread_rad, covariance.largest_attitude_deviation_rad
+            ),
+        );
+    }
     line(
         "solver",
         format!(

@@ -50,6 +50,7 @@ pub struct Columns {
     frame_quaternion: Vectors,
     transition: Vectors,
     sensitivity: Vectors,
+    covariance: Vectors,
     /// The last quaternion: the next has the nearer sign.
     turn: Option<[f64; 4]>,
     /// The same of each of several bodies.
@@ -309,6 +310,7 @@ impl Columns {
             let derivatives = sample.derivatives.as_ref();
             self.transition.push(at, derivatives.map_or(&[], |found| &found.transition));
             self.sensitivity.push(at, derivatives.map_or(&[], |found| &found.sensitivity));
+            self.covariance.push(at, derivatives.map_or(&[], |found| &found.covariance));
         }
         let points = has(Channel::Pointing);
         if has(Channel::Control) {
@@ -452,6 +454,7 @@ impl Columns {
         let derivatives = row.derivatives.unwrap_or_default();
         self.transition.push(at, &derivatives.transition);
         self.sensitivity.push(at, &derivatives.sensitivity);
+        self.covariance.push(at, &derivatives.covariance);
     }
 
     /// Returns the quantities that any sample has, under the names of a table, which adds an axis or row and column to those of
@@ -509,6 +512,7 @@ impl Columns {
             ("frame_quaternion", self.frame_quaternion.vectors()),
             ("transition", self.transition.matrices()),
             ("sensitivity", self.sensitivity.vectors()),
+            ("covariance", self.covariance.matrices()),
         ]);
         let pointing = POINTING.into_iter().zip(self.pointing.map(Vectors::numbers));
         let found = found.chain(pointing);

@@ -5,10 +5,16 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use prost::Message as _;
+
 use super::LogError;
+use super::messages::Member;
 use super::order::read_by_time;
 use super::reader::{Item, Message};
 use super::resume::Seen;
+use super::schema::Channel;
+use super::spread::Spread;
+use crate::solve::state;
 
 /// Chart of a log over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,12 +29,20 @@ pub enum LogChart {
     Pace,
     /// The angle between an axis of the body and its direction.
     Pointing,
+    /// The spread of the attitude: by its covariance, or of the members of an ensemble.
+    Spread,
 }
 
 impl LogChart {
     /// All charts.
-    pub const ALL: [Self; 5] =
-        [Self::Energy, Self::Orthogonality, Self::Momentum, Self::Pace, Self::Pointing];
+    pub const ALL: [Self; 6] = [
+        Self::Energy,
+        Self::Orthogonality,
+        Self::Momentum,
+        Self::Pace,
+        Self::Pointing,
+        Self::Spread,
+    ];
 
     /// Returns the name of its file.
     pub const fn file(self) -> &'static str {
@@ -38,6 +52,7 @@ impl LogChart {
             Self::Momentum => "momentum.svg",
             Self::Pace => "pace.svg",
             Self::Pointing => "pointing.svg",
+            Self::Spread => "spread.svg",
         }
     }
 }
@@ -48,7 +63,7 @@ impl LogChart {
 pub struct Course {
     start_ns: Option<u64>,
     /// Series in the order of [`LogChart::ALL`].
-    series: [Series; 5],
+    series: [Series; 6],
 }
 
 impl Course {
@@ -57,15 +72,20 @@ impl Course {
     /// # Errors
     /// If the log cannot be read.
     pub fn of(log: &Path) -> Result<Self, LogError> {
-        let mut course = Self::default();
+        const MEMBERS: Channel = Channel::EnsembleMembers;
+        let (mut course, mut spread) = (Self::default(), Spread::default());
         read_by_time(log, |item| {
-            if let Item::Message { topic, schema, time_ns, data, .. } = item
-                && let Some(message) = Message::decode(topic, schema, data)
-            {
-                course.note_message(time_ns, &message);
+            if let Item::Message { topic, schema, time_ns, data, .. } = item {
+                if let Some(message) = Message::decode(topic, schema, data) {
+                    course.note_message(time_ns, &message);
+                } else if topic == MEMBERS.topic() && schema == MEMBERS.schema_name() {
+                    let way = Member::decode(data).ok().and_then(|member| member.way);
+                    way.iter().for_each(|way| spread.add(way));
+                }
             }
             ControlFlow::Continue(())
         })?;
+        spread.points().for_each(|point| course.series[LogChart::Spread as usize].push(point));
         Ok(course)
     }
 
@@ -91,6 +111,11 @@ impl Course {
             Message::Pace(message) => self.note(time_ns, LogChart::Pace, 1.0 / message.least_sigma),
             Message::Pointing(message) => {
                 self.note(time_ns, LogChart::Pointing, message.axis_error_rad);
+            }
+            Message::Derivatives(message) => {
+                if let Some(spread) = state::Derivatives::from(message).attitude_spread_rad() {
+                    self.note(time_ns, LogChart::Spread, spread);
+                }
             }
             _ => {}
         }

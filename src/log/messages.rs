@@ -191,7 +191,9 @@ messages_of_samples! {
         relative_rate: numbers(rate), frame_quaternion: numbers(frame)
     },
     /// Derivatives by the start and by parameters.
-    derivatives: Derivatives { transition: numbers(transition), sensitivity: numbers(sensitivity) },
+    derivatives: Derivatives {
+        transition: numbers(transition), sensitivity: numbers(sensitivity), covariance: numbers(covariance)
+    },
 }
 
 impl Member {
@@ -430,9 +432,9 @@ impl Derivatives {
     /// Returns whether they can be those of a state on SO(n).
     fn is_of(&self, n: usize) -> bool {
         let rows = 2 * so::dimension(n);
-        let Self { transition, sensitivity } = self;
-        (transition.is_empty() || transition.len() == rows * rows)
-            && sensitivity.len().is_multiple_of(rows)
+        let Self { transition, sensitivity, covariance } = self;
+        let is_square = |rows_of: &[f64]| rows_of.is_empty() || rows_of.len() == rows * rows;
+        is_square(transition) && is_square(covariance) && sensitivity.len().is_multiple_of(rows)
     }
 
     /// Returns the derivatives of a sample, if it has any.
@@ -443,15 +445,15 @@ impl Derivatives {
 
 impl From<&state::Derivatives> for Derivatives {
     fn from(derivatives: &state::Derivatives) -> Self {
-        let state::Derivatives { transition, sensitivity } = derivatives.clone();
-        Self { transition, sensitivity }
+        let state::Derivatives { transition, sensitivity, covariance } = derivatives.clone();
+        Self { transition, sensitivity, covariance }
     }
 }
 
 impl From<&Derivatives> for state::Derivatives {
     fn from(derivatives: &Derivatives) -> Self {
-        let Derivatives { transition, sensitivity } = derivatives.clone();
-        Self { transition, sensitivity }
+        let Derivatives { transition, sensitivity, covariance } = derivatives.clone();
+        Self { transition, sensitivity, covariance }
     }
 }
 

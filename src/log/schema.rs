@@ -275,7 +275,10 @@ impl Channel {
                 scope: Scope::Differentiated,
                 // Those by the start.
                 sample: sample(8 * (2 * so::dimension(n)).pow(2), 2 * LIST),
-                ..plain("vpd.Derivatives", "the derivatives by the start and by parameters")
+                ..plain(
+                    "vpd.Derivatives",
+                    "the derivatives by the start and by parameters, and the covariance",
+                )
             },
             Self::Tf => Row {
                 descriptors: well_known::<FrameTransforms>,

@@ -6,10 +6,10 @@ use serde_json::{Value, json};
 use super::Plan;
 use super::model::{inertia_matrix, momentum, with_matrix};
 use super::problem::term;
-use crate::scenario::{Scenario, from_tree, set};
+use crate::scenario::{Scenario, from_tree, semidefinite, set};
 use crate::solve::hamiltonian::{BodyRate, Term};
 use crate::solve::so::{self, Mat};
-use crate::solve::tangent::Parameter;
+use crate::solve::tangent::{Parameter, Uncertainty};
 
 impl Plan {
     /// Returns the parameters by which the run is differentiated.
@@ -19,6 +19,26 @@ impl Plan {
     pub(crate) fn parameters<const N: usize>(&self) -> Vec<Parameter<N>> {
         let pointers = self.settled.derivatives.iter().flat_map(|asked| &asked.parameters);
         pointers.map(|pointer| self.parameter(pointer)).collect()
+    }
+
+    /// Returns what is uncertain of the start and of the parameters; `None` if no covariance is asked for.
+    pub(crate) fn uncertainty(&self) -> Option<Uncertainty> {
+        let asked = self.settled.derivatives.as_ref()?.covariance.as_ref()?;
+        let d = so::dimension(self.dimension);
+        let factor = match &asked.matrix {
+            Some(matrix) => semidefinite("/derivatives/covariance/matrix", matrix)
+                .expect("the scenario was checked"),
+            None => {
+                let deviation =
+                    |k| if k < d { asked.attitude_spread_rad } else { asked.momentum_spread };
+                let row = |i| (0..2 * d).map(|j| if i == j { deviation(i) } else { 0.0 }).collect();
+                (0..2 * d).map(row).collect()
+            }
+        };
+        let columns = (0..2 * d).map(|j| factor.iter().map(move |row: &Vec<f64>| row[j]));
+        let columns = columns.filter(|column| column.clone().any(|x| x != 0.0));
+        let start = columns.flatten().collect();
+        Some(Uncertainty { start, parameters: asked.parameter_spreads.clone() })
     }
 
     fn parameter<const N: usize>(&self, pointer: &str) -> Parameter<N> {

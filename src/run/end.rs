@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::summary::{
-    self, DerivativesSummary, Diagnosis, EnergySeen, EnsembleSummary, FinalState, MomentumSummary,
-    Outcome, SolverSummary, Summary,
+    self, CovarianceSummary, DerivativesSummary, Diagnosis, EnergySeen, EnsembleSummary,
+    FinalState, MomentumSummary, Outcome, SolverSummary, Summary,
 };
 use super::{RunError, json};
 #[cfg(feature = "chart")]
@@ -32,13 +32,14 @@ pub(super) struct Reached {
     convergence: Option<Convergence>,
     last: FinalState,
     pub(super) derivatives: Option<DerivativesSummary>,
+    pub(super) covariance: Option<CovarianceSummary>,
 }
 
 impl<const N: usize> From<&Checkpoint<N>> for Reached {
     fn from(checkpoint: &Checkpoint<N>) -> Self {
         let &Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
         let last = summary::final_state(checkpoint.attitude.as_ref(), &checkpoint.momentum);
-        Self { step, samples, iterations, convergence, last, derivatives: None }
+        Self { step, samples, iterations, convergence, last, derivatives: None, covariance: None }
     }
 }
 
@@ -46,7 +47,7 @@ impl Reached {
     /// Returns the end of a run of several bodies.
     pub(super) fn of_bodies(checkpoint: &bodies::Checkpoint, last: FinalState) -> Self {
         let &bodies::Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
-        Self { step, samples, iterations, convergence, last, derivatives: None }
+        Self { step, samples, iterations, convergence, last, derivatives: None, covariance: None }
     }
 }
 
@@ -153,6 +154,7 @@ pub(super) fn finish(
         ns_per_step: 0.0,
         log: log.display().to_string(),
         derivatives: reached.derivatives,
+        covariance: reached.covariance,
         diagnosis,
         stopped,
         ensemble,
@@ -190,6 +192,9 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     if let Some(derivatives) = &summary.derivatives {
         entries.insert("derivatives".to_owned(), json(derivatives));
     }
+    if let Some(covariance) = &summary.covariance {
+        entries.insert("covariance".to_owned(), json(covariance));
+    }
     if let Some(ensemble) = &summary.ensemble {
         entries.insert("ensemble".to_owned(), json(ensemble));
     }
@@ -209,9 +214,14 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
 /// Draws the pictures in the log: file names and SVG.
 #[cfg(feature = "chart")]
 fn charts(course: &Course) -> Vec<(&'static str, String)> {
-    let charts = [LogChart::Energy, LogChart::Orthogonality, LogChart::Pace, LogChart::Pointing];
-    let charts = charts.into_iter();
-    let charts = charts.filter(|which| course.has_line(*which));
+    let charts = [
+        LogChart::Energy,
+        LogChart::Orthogonality,
+        LogChart::Pace,
+        LogChart::Pointing,
+        LogChart::Spread,
+    ];
+    let charts = charts.into_iter().filter(|which| course.has_line(*which));
     // One that could not be drawn would be missing; the log is good without.
     charts.filter_map(|which| Some((which.file(), draw_course(course, which).ok()?))).collect()
 }

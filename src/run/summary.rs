@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -83,6 +84,9 @@ pub struct Summary {
     /// The derivatives by the start, where they were carried along.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub derivatives: Option<DerivativesSummary>,
+    /// The covariance at the end, where one was carried along.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance: Option<CovarianceSummary>,
     /// Reason why the run failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
@@ -107,6 +111,34 @@ pub struct DerivativesSummary {
     pub transition_norm: f64,
     /// How far it is from a symplectic one: see [`symplectic_error`].
     pub symplectic_error: f64,
+}
+
+/// Covariance at the end of a run, to first order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct CovarianceSummary {
+    /// Root mean square of the turn from the run, in radians: next to that of an ensemble.
+    pub attitude_spread_rad: f64,
+    /// Standard deviation of the turn in the direction in which it is largest, in radians.
+    pub largest_attitude_deviation_rad: f64,
+    /// Standard deviation of each component of the body momentum.
+    pub body_momentum_deviation: Vec<f64>,
+}
+
+impl CovarianceSummary {
+    /// Returns that of the last sample; `None` if there is no covariance.
+    pub(super) fn of<const N: usize>(reached: &Checkpoint<N>) -> Option<Self> {
+        let derivatives = reached.derivatives.as_ref()?;
+        let attitude_spread_rad = derivatives.attitude_spread_rad()?;
+        let d = so::dimension(N);
+        let entry = |i: usize, j: usize| derivatives.covariance[2 * d * i + j];
+        let of_attitude = DMatrix::from_fn(d, d, entry).symmetric_eigenvalues();
+        let deviation = |variance: f64| variance.max(0.0).sqrt();
+        Some(Self {
+            attitude_spread_rad,
+            largest_attitude_deviation_rad: deviation(of_attitude.max()),
+            body_momentum_deviation: (d..2 * d).map(|i| deviation(entry(i, i))).collect(),
+        })
+    }
 }
 
 impl DerivativesSummary {

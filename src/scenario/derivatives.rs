@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::range::{Check, ensure};
+use super::range::{self, Check, MAX_SIZE, ensure, spread};
 use super::{Field, MethodName, Scenario};
 
 /// Largest n: the derivatives by the start are (n (n - 1))^2 numbers a sample.
@@ -36,12 +36,84 @@ pub struct Derivatives {
     /// the start. The start changes with the inertia where it is given by its angular velocity.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parameters: Vec<String>,
+    /// How uncertain the start and the parameters are: the run then carries the covariance of its state along.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance: Option<Covariance>,
+}
+
+/// Covariance of a start and of parameters, to first order: that of (xi, nu), and independent of it that of each parameter. The
+/// two spreads are those of an ensemble.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Covariance {
+    /// Standard deviation of the turn about each body axis (for n > 3 in each coordinate plane), in radians.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub attitude_spread_rad: f64,
+    /// Standard deviation of each component of the body momentum, in kg m^2/s.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub momentum_spread: f64,
+    /// In place of the two: the covariance of (xi, nu), n (n - 1) rows, symmetric and positive semidefinite.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<Vec<Vec<f64>>>,
+    /// Standard deviation of each of `parameters`, in its unit.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parameter_spreads: Vec<f64>,
+}
+
+// serde hands over a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
+
+impl Covariance {
+    /// Is anything of the start uncertain?
+    fn is_of_start(&self) -> bool {
+        self.attitude_spread_rad > 0.0 || self.momentum_spread > 0.0 || self.matrix.is_some()
+    }
+
+    fn check(&self, asked: &Derivatives, n: usize) -> Check {
+        const AT: &str = "/derivatives/covariance";
+        let Self { attitude_spread_rad, momentum_spread, matrix, parameter_spreads } = self;
+        let most = std::f64::consts::PI;
+        spread(&format!("{AT}/attitude_spread_rad"), *attitude_spread_rad, most)?;
+        spread(&format!("{AT}/momentum_spread"), *momentum_spread, MAX_SIZE)?;
+        if let Some(given) = matrix {
+            let at = format!("{AT}/matrix");
+            ensure(*attitude_spread_rad == 0.0 && *momentum_spread == 0.0, at.clone(), || {
+                "stands in place of `attitude_spread_rad` and `momentum_spread`; give one or the other"
+                    .into()
+            })?;
+            let rows = n * (n - 1);
+            let is_square = given.len() == rows && given.iter().all(|row| row.len() == rows);
+            ensure(is_square, at.clone(), || {
+                format!("has another shape; {rows} rows of {rows} numbers are needed for n = {n}")
+            })?;
+            range::matrix(&at, given, rows)?;
+            range::semidefinite(&at, given)?;
+        }
+        let at = format!("{AT}/parameter_spreads");
+        let [given, needed] = [parameter_spreads.len(), asked.parameters.len()];
+        ensure(given == 0 || given == needed, at.clone(), || {
+            format!("{given} given, one for each of the {needed} `parameters` is needed")
+        })?;
+        for (index, &x) in parameter_spreads.iter().enumerate() {
+            spread(&format!("{at}/{index}"), x, MAX_SIZE)?;
+        }
+        ensure(self.is_of_start() || parameter_spreads.iter().any(|&x| x > 0.0), AT, || {
+            "says that all is certain; give `attitude_spread_rad`, `momentum_spread`, `matrix` or `parameter_spreads`".into()
+        })?;
+        ensure(asked.state || !self.is_of_start(), AT, || {
+            "of the start is carried by the state transition matrix; give `\"state\": true`".into()
+        })
+    }
 }
 
 /// Checks what is asked for, and what stands next to it.
 pub(super) fn check(scenario: &Scenario, n: usize) -> Check {
     const AT: &str = "/derivatives";
-    let Some(Derivatives { state, parameters }) = &scenario.derivatives else { return Ok(()) };
+    let Some(asked) = &scenario.derivatives else { return Ok(()) };
+    let Derivatives { state, parameters, covariance } = asked;
     ensure(*state || !parameters.is_empty(), AT, || {
         "asks for nothing: give `\"state\": true`, or `parameters`".into()
     })?;
@@ -89,5 +161,5 @@ pub(super) fn check(scenario: &Scenario, n: usize) -> Check {
             )
         })?;
     }
-    Ok(())
+    covariance.as_ref().map_or(Ok(()), |given| given.check(asked, n))
 }

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::range::{Check, LARGEST_SEED, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
+use super::range::{Check, LARGEST_SEED, MAX_SIZE, MAX_STEPS, ensure, spread};
 #[cfg(feature = "serve")]
 use super::{Attitude, Entry, Framed, Initial, Scenario};
 
@@ -109,23 +109,9 @@ impl Ensemble {
         ensure(*seed <= LARGEST_SEED, "/ensemble/seed", || {
             format!("{seed} given, a seed is at most {LARGEST_SEED}")
         })?;
-        ensure(
-            (0.0..=std::f64::consts::PI).contains(attitude_spread_rad),
-            "/ensemble/attitude_spread_rad",
-            || format!("{attitude_spread_rad:?} given, a spread of turns must be from 0 to pi"),
-        )?;
-        ensure((0.0..=MAX_SIZE).contains(momentum_spread), "/ensemble/momentum_spread", || {
-            format!("{momentum_spread:?} given, a spread must be from 0 to {MAX_SIZE:e}")
-        })?;
-        for (name, spread) in
-            [("attitude_spread_rad", attitude_spread_rad), ("momentum_spread", momentum_spread)]
-        {
-            ensure(
-                *spread == 0.0 || *spread >= SMALLEST_SIZE,
-                format!("/ensemble/{name}"),
-                || format!("{spread:?} given, a spread is 0 or at least {SMALLEST_SIZE:e}"),
-            )?;
-        }
+        let most = std::f64::consts::PI;
+        spread("/ensemble/attitude_spread_rad", *attitude_spread_rad, most)?;
+        spread("/ensemble/momentum_spread", *momentum_spread, MAX_SIZE)?;
         let differs = *attitude_spread_rad > 0.0 || *momentum_spread > 0.0 || has_noise;
         ensure(differs, "/ensemble", || {
             "has no spread; give `attitude_spread_rad` or `momentum_spread`, or noise to a control"

@@ -63,6 +63,56 @@ pub(super) fn strength(pointer: &str, x: f64) -> Check {
     })
 }
 
+/// Checks a standard deviation.
+pub(super) fn spread(pointer: &str, x: f64, most: f64) -> Check {
+    ensure((0.0..=most).contains(&x), pointer, || {
+        format!("{x:?} given, a spread must be from 0 to {most:?}")
+    })?;
+    ensure(x == 0.0 || x >= SMALLEST_SIZE, pointer, || {
+        format!("{x:?} given, a spread is 0 or at least {SMALLEST_SIZE:e}")
+    })
+}
+
+/// Returns the lower triangular L of a covariance or correlation matrix `A = L L^T` (Cholesky). A pivot that is zero but for
+/// rounding leaves a column of zeros, so a part that is certain, or that follows from others, is none to refuse.
+pub(crate) fn semidefinite(
+    pointer: &str,
+    given: &[Vec<f64>],
+) -> Result<Vec<Vec<f64>>, ScenarioError> {
+    const ROUNDING: f64 = 1e-12;
+    symmetry(pointer, given, 1.0, "symmetric")?;
+    let n = given.len();
+    let mut factor = vec![vec![0.0; n]; n];
+    for j in 0..n {
+        let variance = given[j][j];
+        ensure(variance >= 0.0, format!("{pointer}/{j}/{j}"), || {
+            format!("{variance:?} given, a variance is not negative")
+        })?;
+        let row: Vec<f64> = factor[j][..j].to_vec();
+        let rest = |i: usize, factor: &[Vec<f64>]| {
+            let pairs = row.iter().zip(&factor[i]);
+            pairs.fold(given[i][j], |rest, (a, b)| rest - a * b)
+        };
+        let pivot = rest(j, &factor);
+        let is_zero = pivot <= ROUNDING * variance;
+        let size = |i: usize| (variance * given[i][i].max(0.0)).sqrt();
+        let is_possible = pivot >= -ROUNDING * variance
+            && (!is_zero || (j..n).all(|i| rest(i, &factor).abs() <= ROUNDING.sqrt() * size(i)));
+        ensure(is_possible, pointer, || {
+            format!(
+                "is not positive semidefinite, by its first {} rows and the columns below",
+                j + 1
+            )
+        })?;
+        if !is_zero {
+            for i in j..n {
+                factor[i][j] = rest(i, &factor) / pivot.sqrt();
+            }
+        }
+    }
+    Ok(factor)
+}
+
 /// Returns the largest size of the numbers.
 pub(super) fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
     numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))

@@ -334,7 +334,7 @@ fn routes() -> Vec<Route> {
             Read,
             op(
                 "getChart",
-                "`energy.svg`, `orthogonality.svg`, `momentum.svg`, `pace.svg` (of steps that adapt) or `pointing.svg` (of scenes with `pointing`), drawn from the log",
+                "`energy.svg`, `orthogonality.svg`, `momentum.svg`, `pace.svg` (of steps that adapt), `pointing.svg` (of scenes with `pointing`) or `spread.svg` (of ensembles and covariances), drawn from the log",
             )
             .raw(200, "image/svg+xml", "The chart"),
             get(jobs::get_chart),

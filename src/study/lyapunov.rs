@@ -46,7 +46,7 @@ pub enum ExponentsError {
 /// [`ExponentsError`]; at `/derivatives` of the scenario for scenes without derivatives.
 pub fn exponents(scenario: &Scenario, watch: &Watch) -> Result<Lyapunov, ExponentsError> {
     let mut asked = scenario.clone();
-    asked.derivatives = Some(Derivatives { state: true, parameters: Vec::new() });
+    asked.derivatives = Some(Derivatives { state: true, ..Derivatives::default() });
     asked.check().map_err(|error| match error.pointer.as_str() {
         "/derivatives" => {
             let message = format!("are what exponents are made of; they {}", error.message);

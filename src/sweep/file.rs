@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::MOST_MEMBERS;
-use crate::scenario::{LARGEST_SEED, MAX_SIZE, Scenario, ScenarioError, SchemaAddress, ensure};
+use crate::scenario::{
+    LARGEST_SEED, MAX_SIZE, Scenario, ScenarioError, SchemaAddress, ensure, semidefinite,
+};
 
 /// Largest number of fields that are varied, and of scores.
 const MOST_COLUMNS: usize = 32;
@@ -36,6 +38,9 @@ pub struct SweepFile {
     /// Combination of their values.
     #[serde(default)]
     pub(crate) combine: Combine,
+    /// Correlation of fields with `normal` values, of a sweep that combines them `side_by_side`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) correlation: Option<Correlation>,
     /// Seed of all random values: the same seed, the same values. At most 2^53 - 1.
     #[serde(default)]
     pub(crate) seed: u64,
@@ -81,6 +86,72 @@ pub(crate) struct Vary {
     pub(crate) name: Option<String>,
     /// Its values.
     pub(crate) values: Values,
+}
+
+/// Correlation of some of the fields that are varied; of all others each is independent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Correlation {
+    /// Their pointers, as in `vary`.
+    pub(crate) pointers: Vec<String>,
+    /// A row of each: ones on the diagonal, symmetric, positive semidefinite.
+    pub(crate) matrix: Vec<Vec<f64>>,
+}
+
+impl Correlation {
+    fn check(&self, vary: &[Vary], combine: Combine) -> Result<(), ScenarioError> {
+        const AT: &str = "/correlation";
+        let Self { pointers, matrix } = self;
+        ensure(combine == Combine::SideBySide, AT, || {
+            "needs `\"combine\": \"side_by_side\"`, which takes the values of its fields in pairs"
+                .into()
+        })?;
+        let mut seen = HashSet::new();
+        for (at, pointer) in pointers.iter().enumerate() {
+            let place = format!("{AT}/pointers/{at}");
+            let normal = vary.iter().any(|field| {
+                field.pointer == *pointer && matches!(field.values, Values::Normal(_))
+            });
+            ensure(normal, place.clone(), || {
+                format!(
+                    "{pointer:?} given, one of the fields of `vary` with `normal` values is needed"
+                )
+            })?;
+            ensure(seen.insert(pointer), place, || format!("names {pointer} again"))?;
+        }
+        let rows = pointers.len();
+        let at = format!("{AT}/matrix");
+        ensure(
+            matrix.len() == rows && matrix.iter().all(|row| row.len() == rows),
+            at.clone(),
+            || {
+                format!(
+                    "has another shape; {rows} rows of {rows} numbers are needed, one for each of `pointers`"
+                )
+            },
+        )?;
+        for (i, row) in matrix.iter().enumerate() {
+            for (j, &x) in row.iter().enumerate() {
+                let fits = if i == j { x == 1.0 } else { (-1.0..=1.0).contains(&x) };
+                ensure(fits, format!("{at}/{i}/{j}"), || {
+                    format!("{x:?} given, a correlation is from -1 to 1, and 1 on the diagonal")
+                })?;
+            }
+        }
+        semidefinite(&at, matrix).map(|_| ())
+    }
+
+    /// Returns for a field the weights of the independent normal numbers of which its own is made, by the numbers of their fields;
+    /// none for one that is not in it.
+    pub(super) fn weights(&self, vary: &[Vary], field: usize) -> Vec<(u64, f64)> {
+        let number = |pointer: &String| vary.iter().position(|field| field.pointer == *pointer);
+        let row = self.pointers.iter().position(|pointer| *pointer == vary[field].pointer);
+        let factor = semidefinite("/correlation/matrix", &self.matrix);
+        let of_row = row.zip(factor.ok()).map(|(row, mut factor)| factor.swap_remove(row));
+        let weights = self.pointers.iter().zip(of_row.into_iter().flatten());
+        let weights = weights.filter(|(_, weight)| *weight != 0.0);
+        weights.filter_map(|(pointer, weight)| Some((number(pointer)? as u64, weight))).collect()
+    }
 }
 
 impl Vary {
@@ -200,7 +271,7 @@ pub(crate) enum Combine {
     Product,
     /// The first of each, the second of each, ..: all have as many values.
     SideBySide,
-    /// For Sobol's indices (Saltelli et al. 2010), of random values, 2 N of each field: N rows, each of a member with the first
+    /// For Sobol's indices (Saltelli et al. 2010), of 2 N values of each field from a scrambled sequence of Sobol: N rows, each of a member with the first
     /// halves, one with the second halves, and for each field one with the first halves but for that.
     Saltelli,
 }
@@ -387,6 +458,9 @@ impl SweepFile {
                 format!("there is already a column {}", field.column())
             })?;
             values.check(&at)?;
+        }
+        if let Some(correlation) = &self.correlation {
+            correlation.check(vary, self.combine)?;
         }
         for (at, score) in scores.iter().enumerate() {
             let at = format!("/scores/{at}");

@@ -643,6 +643,45 @@ pub(crate) fn table() -> Vec<Bad> {
     ] {
         add(with(full(), "/derivatives", raw), &format!("/derivatives{pointer}"));
     }
+    let ones = |diagonal: [i32; 6]| -> Vec<Vec<i32>> {
+        (0..6).map(|i| (0..6).map(|j| if i == j { diagonal[i] } else { 0 }).collect()).collect()
+    };
+    let negative = json!({ "matrix": ones([1, 1, -1, 1, 1, 1]) }).to_string();
+    let mut correlated = ones([1; 6]);
+    (correlated[0][1], correlated[1][0]) = (2, 2);
+    let indefinite = json!({ "matrix": correlated }).to_string();
+    correlated[1][0] = 1;
+    let skewed = json!({ "matrix": correlated }).to_string();
+    let both = json!({ "matrix": ones([1; 6]), "momentum_spread": 1 }).to_string();
+    for (raw, pointer) in [
+        ("1", ""),
+        ("{}", ""),
+        ("{\"attitude_spread_rad\": 0}", ""),
+        ("{\"attitude_spread_rad\": -1}", "/attitude_spread_rad"),
+        ("{\"attitude_spread_rad\": 4}", "/attitude_spread_rad"),
+        ("{\"momentum_spread\": 1e-20}", "/momentum_spread"),
+        ("{\"momentum\": 1}", "/momentum"),
+        ("{\"parameter_spreads\": [1]}", "/parameter_spreads"),
+        ("{\"matrix\": [[1]]}", "/matrix"),
+        (negative.as_str(), "/matrix/2/2"),
+        (indefinite.as_str(), "/matrix"),
+        (skewed.as_str(), "/matrix/1/0"),
+        (both.as_str(), "/matrix"),
+    ] {
+        let asked = format!("{{\"state\": true, \"covariance\": {raw}}}");
+        let pointer = format!("/derivatives/covariance{pointer}");
+        add(with(full(), "/derivatives", &asked), &pointer);
+    }
+    let asked = "{\"parameters\": [\"/scene/inertia/principal/0\"], \"covariance\": ";
+    for (raw, pointer) in [
+        ("{\"momentum_spread\": 1}", ""),
+        ("{\"parameter_spreads\": [0]}", ""),
+        ("{\"parameter_spreads\": [-1]}", "/parameter_spreads/0"),
+        ("{\"parameter_spreads\": [1, 1]}", "/parameter_spreads"),
+    ] {
+        let pointer = format!("/derivatives/covariance{pointer}");
+        add(with(full(), "/derivatives", &format!("{asked}{raw}}}")), &pointer);
+    }
     let asked = "{\"state\": true}";
     for name in ["rk", "vrkmk", "vpd_lagrangian", "splitting"] {
         let mut other = full();

@@ -5,13 +5,16 @@ use std::path::Path;
 use serde_json::{Value, json};
 use vpd::advise;
 use vpd::log::columns::{Columns, Values};
+use vpd::log::course::{Course, LogChart};
 use vpd::log::inspect::inspect;
+use vpd::log::messages::State;
 use vpd::run::{Control, JobContext, Outcome, Summary, collect, execute};
 use vpd::scenario::{Scenario, with_changes};
 use vpd::solve::so;
 use vpd::verify::verify;
 
 use crate::cli::vpd;
+use crate::ensemble::contents;
 
 /// A heavy body between two charges, which starts with a velocity.
 fn scene() -> Value {
@@ -145,6 +148,176 @@ fn the_log_has_a_channel_and_is_repeated() {
     for name in ["transition", "sensitivity"] {
         assert_eq!(last(columns.clone(), name), last(in_memory.clone(), name), "{name}");
     }
+}
+
+/// The scene without derivatives, and the same for n = 4.
+fn plain(n: usize) -> Value {
+    let mut plain = scene();
+    plain.as_object_mut().expect("an object").remove("derivatives");
+    if n == 4 {
+        plain["scene"] = json!({
+            "inertia": { "second_moments": [1.0, 1.2, 1.5, 0.8] },
+            "potential": [
+                { "kind": "uniform", "weight": 0.7, "body_point": [0.1, 0.2, 1, 0.4], "direction": [0, 0, 1, 0] },
+                { "kind": "spring", "stiffness": 0.5, "body_point": [0, 0.3, -1, 0], "position": [0.5, 0, -2, 1] },
+            ],
+            "initial": { "angular_velocity": {
+                "body": [[0, 0.3, 0, 0.1], [-0.3, 0, 0.5, 0], [0, -0.5, 0, -0.2], [-0.1, 0, 0.2, 0]]
+            } },
+        });
+    }
+    plain
+}
+
+/// To first order an ensemble has the covariance that its run carries along, within what so many members leave open.
+fn covariance_is_that_of_an_ensemble<const N: usize>() {
+    const MEMBERS: usize = 4000;
+    let (angle, momentum) = (1e-3, 2e-3);
+    let spread = json!({ "attitude_spread_rad": angle, "momentum_spread": momentum });
+    let folder = tempfile::tempdir().expect("a folder");
+
+    let mut carried = plain(N);
+    carried["derivatives"] = json!({ "state": true, "covariance": spread });
+    let (summary, columns) = in_memory(&carried);
+    let found = last(columns, "covariance");
+    let rows = N * (N - 1);
+    assert_eq!(found.len(), rows * rows);
+
+    let mut many = plain(N);
+    many["ensemble"] = spread;
+    many["ensemble"]["members"] = json!(MEMBERS + 1);
+    many["ensemble"]["seed"] = json!(3);
+    let log = folder.path().join("ensemble.mcap");
+    let members = run(&many, &log).ensemble.expect("of an ensemble");
+    let mut ends: Vec<_> = contents(&log).members;
+    ends.sort_by_key(|end| end.member);
+    let ends: Vec<_> = ends
+        .iter()
+        .map(|end| end.last.as_ref().and_then(State::point::<N>).expect("its end"))
+        .collect();
+    let mut sums = vec![0.0; rows * rows];
+    for end in &ends[1..] {
+        let turn = so::transposed_product(&ends[0].attitude, &end.attitude);
+        let mut change = so::vee(&so::skew(&turn));
+        change.extend(so::vee(&(end.momentum - ends[0].momentum)));
+        for (i, x) in change.iter().enumerate() {
+            change.iter().enumerate().for_each(|(j, y)| sums[rows * i + j] += x * y);
+        }
+    }
+    for i in 0..rows {
+        for j in 0..rows {
+            let [ii, jj, ij] = [(i, i), (j, j), (i, j)].map(|(i, j)| found[rows * i + j]);
+            // The variance of a product of two normal numbers.
+            let standard_error = ((ii * jj + ij * ij) / MEMBERS as f64).sqrt();
+            let seen = sums[rows * i + j] / MEMBERS as f64;
+            assert!((seen - ij).abs() < 5.0 * standard_error, "{N}: {i}, {j}: {seen:e} for {ij:e}");
+            assert_eq!(ij, found[rows * j + i], "symmetric");
+        }
+    }
+    let matrix = nalgebra::DMatrix::from_row_slice(rows, rows, &found);
+    let variances = matrix.symmetric_eigenvalues();
+    assert!(variances.min() > -1e-14 * variances.max(), "{variances}");
+
+    let covariance = summary.covariance.expect("asked for");
+    let spread = members.attitude_spread_rad.expect("known");
+    let error = (covariance.attitude_spread_rad / spread - 1.0).abs();
+    assert!(error < 5.0 / (2.0 * MEMBERS as f64).sqrt(), "{spread:e}, {covariance:?}");
+    let largest = covariance.largest_attitude_deviation_rad;
+    let d = rows / 2;
+    let on_axes = (0..d).map(|i| found[(rows + 1) * i].sqrt()).fold(0.0, f64::max);
+    assert!(on_axes <= largest * (1.0 + 1e-12) && largest <= covariance.attitude_spread_rad);
+    // The chart of both is one of the same quantity.
+    let single = folder.path().join("covariance.mcap");
+    run(&carried, &single);
+    let [of_run, of_members] = [&single, &log]
+        .map(|log| Course::of(log).expect("readable").points(LogChart::Spread).to_vec());
+    let near = |time_s: f64| of_run.iter().find(|point| (point.0 - time_s).abs() < 1e-6);
+    let shared: Vec<_> = of_members.iter().filter_map(|at| near(at.0).zip(Some(at))).collect();
+    assert!(shared.len() > 5, "{of_members:?}");
+    for (of_run, of_members) in shared {
+        // Half a percent is one standard error of the sum over the axes, or less than that.
+        assert!((of_run.1 / of_members.1 - 1.0).abs() < 0.06, "{of_run:?}, {of_members:?}");
+    }
+}
+
+#[test]
+fn covariance_is_that_of_an_ensemble_in_three_dimensions() {
+    covariance_is_that_of_an_ensemble::<3>();
+}
+
+#[test]
+fn covariance_is_that_of_an_ensemble_in_four_dimensions() {
+    covariance_is_that_of_an_ensemble::<4>();
+}
+
+/// A free body that turns about a principal axis: the turn about it is xi + t nu / J3, exactly.
+#[test]
+fn variance_about_a_principal_axis_grows_as_the_square_of_time() {
+    let mut free = plain(3);
+    free["scene"]["potential"] = json!([]);
+    free["scene"]["initial"] = json!({ "angular_velocity": { "body": [0, 0, 0.9] } });
+    let (angle, momentum) = (0.01, 0.03);
+    free["derivatives"] = json!({
+        "state": true, "covariance": { "attitude_spread_rad": angle, "momentum_spread": momentum }
+    });
+    let (_, columns) = in_memory(&free);
+    let all: Vec<_> = columns.into_all();
+    let numbers = |name: &str| -> Vec<f64> {
+        let found = all.iter().find(|(found, _)| *found == name).expect("a column");
+        let Values::Numbers { values, .. } = &found.1 else { panic!("{name} has numbers") };
+        values.clone()
+    };
+    let (times, covariances) = (numbers("time_s"), numbers("covariance"));
+    assert_eq!(times.len(), 11);
+    for (t, found) in times.iter().zip(covariances.chunks_exact(36)) {
+        let by_rate = momentum * t / 1.7;
+        let expected = angle * angle + by_rate * by_rate;
+        let error = (found[6 * 2 + 2] / expected - 1.0).abs();
+        assert!(error < 1e-10, "{t}: {error:e}");
+        assert!((found[6 * 5 + 5] / (momentum * momentum) - 1.0).abs() < 1e-12);
+        assert!((found[6 * 2 + 5] - momentum * by_rate).abs() < 1e-12);
+    }
+}
+
+/// A given matrix, with correlations and a part that is certain, and parameters: by the matrices of the same log.
+#[test]
+fn covariance_is_carried_by_the_transition_and_the_sensitivities() {
+    // C C^T of three columns: of rank three.
+    let factor = nalgebra::DMatrix::from_row_slice(
+        6,
+        3,
+        &[
+            0.2, 0.0, 0.1, -0.1, 0.3, 0.0, 0.0, 0.0, 0.2, 0.4, 0.1, 0.0, 0.0, -0.2, 0.0, 0.0, 0.0,
+            0.0,
+        ],
+    );
+    let start = &factor * factor.transpose();
+    let rows: Vec<Vec<f64>> = start.row_iter().map(|row| row.iter().copied().collect()).collect();
+    let spreads = [0.1, 0.0, 0.2, 0.05, 0.3];
+    let mut given = scene();
+    given["derivatives"]["covariance"] = json!({ "matrix": rows, "parameter_spreads": spreads });
+    let (_, columns) = in_memory(&given);
+    let matrix = |name: &str, columns_of: usize| {
+        let numbers = last(columns.clone(), name);
+        nalgebra::DMatrix::from_row_slice(numbers.len() / columns_of, columns_of, &numbers)
+    };
+    let transition = matrix("transition", 6);
+    let sensitivity = matrix("sensitivity", 6).transpose();
+    let weights = nalgebra::DVector::from_iterator(5, spreads.iter().map(|x| x * x));
+    let expected = &transition * &start * transition.transpose()
+        + &sensitivity * nalgebra::DMatrix::from_diagonal(&weights) * sensitivity.transpose();
+    let found = matrix("covariance", 6);
+    assert!((&found - &expected).amax() < 1e-12 * expected.amax(), "{found} {expected}");
+    // Without the start, of the parameters alone.
+    given["derivatives"]["covariance"] = json!({ "parameter_spreads": spreads });
+    given["derivatives"]["state"] = json!(false);
+    let (summary, columns) = in_memory(&given);
+    let numbers = last(columns, "covariance");
+    let found = nalgebra::DMatrix::from_row_slice(6, 6, &numbers);
+    let expected =
+        &sensitivity * nalgebra::DMatrix::from_diagonal(&weights) * sensitivity.transpose();
+    assert!((&found - &expected).amax() < 1e-12 * expected.amax(), "{found} {expected}");
+    assert!(summary.derivatives.is_none() && summary.covariance.is_some());
 }
 
 /// All exponents of a run, by the command line: of regular motion zero, of chaotic motion in pairs; what has no derivatives is

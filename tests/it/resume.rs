@@ -142,7 +142,11 @@ fn every_method_goes_on_to_the_same_bytes() {
 fn derivatives_go_on_to_the_same_bytes() {
     let mut scenario = dipole(&json!({ "name": "vpd", "tableau": "gauss3" }));
     let parameters = ["/scene/inertia/principal/2", "/scene/potential/1/strength"];
-    scenario["derivatives"] = json!({ "state": true, "parameters": parameters });
+    scenario["derivatives"] = json!({
+        "state": true,
+        "parameters": parameters,
+        "covariance": { "attitude_spread_rad": 0.01, "parameter_spreads": [0.1, 0] },
+    });
     resume_job(&scenario, &[0.4, 0.9]);
 }
 

@@ -5,10 +5,13 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
+use chacha20::ChaCha8Rng;
+use chacha20::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};
 use vpd::advise;
 use vpd::run::{Control, JobContext, execute};
 use vpd::scenario::Scenario;
+use vpd::sweep::statistics::sobol;
 use vpd::sweep::{Sweep, schema};
 
 use crate::cli::vpd;
@@ -36,6 +39,8 @@ fn top(steps: u64) -> Value {
 
 const TILT: &str = "/scene/initial/attitude/axis_angle/angle_rad";
 const SPIN: &str = "/scene/initial/angular_velocity/body/2";
+
+const WEIGHT: &str = "/scene/potential/0/weight";
 
 fn of(sweep: &Value) -> Sweep {
     Sweep::from_json(sweep.to_string().as_bytes()).expect("a good sweep")
@@ -109,6 +114,154 @@ fn random_values_follow_their_law_and_their_seed() {
     }
     let agree = parts[0].iter().zip(&parts[1]).filter(|(a, b)| a == b).count();
     assert!(agree < 20, "{agree}");
+}
+
+/// Normal values have the correlation that is asked for, also where one follows from the others; those of fields that are not in the
+/// matrix stay what they are.
+#[test]
+fn normal_values_are_correlated_by_a_matrix() {
+    const COUNT: usize = 4000;
+    let field = |pointer: &str, mean: f64, deviation: f64| json!({ "pointer": pointer, "values": { "normal": { "mean": mean, "deviation": deviation, "count": COUNT } } });
+    let mut file = json!({
+        "scenario": top(1), "combine": "side_by_side", "seed": 2,
+        "vary": [field(WEIGHT, 5.0, 0.1), field(SPIN, 40.0, 2.0), field(TILT, 0.5, 0.05), field("/step_s", 1.0, 0.1)]
+    });
+    let pointers = [SPIN, TILT, WEIGHT];
+    let columns = |file: &Value| {
+        let sweep = of(file);
+        pointers.map(|pointer| values(&sweep, pointer))
+    };
+    let independent = columns(&file);
+    // The last is (first + second) / sqrt 3: singular.
+    let by_both = 1.5 / 3.0_f64.sqrt();
+    for (matrix, bound) in [
+        ([[1.0, 0.8, 0.0], [0.8, 1.0, -0.3], [0.0, -0.3, 1.0]], None),
+        ([[1.0, 0.5, by_both], [0.5, 1.0, by_both], [by_both, by_both, 1.0]], Some(3.0_f64.sqrt())),
+    ] {
+        file["correlation"] = json!({ "pointers": pointers, "matrix": matrix });
+        let sweep = of(&file);
+        assert_eq!(
+            values(&sweep, "/step_s"),
+            values(
+                &of(&{
+                    let mut plain = file.clone();
+                    plain.as_object_mut().expect("fields").remove("correlation");
+                    plain
+                }),
+                "/step_s"
+            )
+        );
+        let found = columns(&file);
+        assert_eq!(found[0], independent[0], "the first is as it was");
+        let scaled: Vec<Vec<f64>> = found
+            .iter()
+            .zip([(40.0, 2.0), (0.5, 0.05), (5.0, 0.1)])
+            .map(|(column, (mean, deviation))| {
+                column.iter().map(|x| (x - mean) / deviation).collect()
+            })
+            .collect();
+        for i in 0..3 {
+            for j in 0..3 {
+                let products = scaled[i].iter().zip(&scaled[j]).map(|(x, y)| x * y);
+                let seen = products.sum::<f64>() / COUNT as f64;
+                let expected: f64 = matrix[i][j];
+                let standard_error = ((1.0 + expected * expected) / COUNT as f64).sqrt();
+                assert!((seen - expected).abs() < 5.0 * standard_error, "{i}, {j}: {seen}");
+            }
+        }
+        let Some(root) = bound else { continue };
+        for ((x, y), z) in scaled[0].iter().zip(&scaled[1]).zip(&scaled[2]) {
+            assert!(((x + y) / root - z).abs() < 1e-10, "{x}, {y}, {z}");
+        }
+    }
+    // The table depends on it.
+    let digest = of(&file).digest();
+    file["correlation"]["matrix"] = json!([[1, 0, 0], [0, 1, 0], [0, 0, 1]]);
+    assert_ne!(of(&file).digest(), digest);
+    assert_eq!(columns(&file), independent);
+}
+
+/// Values for Sobol's indices: of each field even in both halves, follow their law, and give the indices of Ishigami's function better
+/// than independent ones.
+#[test]
+fn values_for_indices_are_even() {
+    const ROWS: usize = 1024;
+    let pi = std::f64::consts::PI;
+    let uniform = json!({ "uniform": { "from": -pi, "to": pi, "count": 2 * ROWS } });
+    let normal = json!({ "normal": { "mean": 5, "deviation": 0.5, "count": 2 * ROWS } });
+    let sweep = |seed: u64, values: &Value| {
+        of(&json!({
+            "scenario": top(1), "combine": "saltelli", "seed": seed,
+            "vary": [
+                { "pointer": SPIN, "values": values },
+                { "pointer": TILT, "values": uniform },
+                { "pointer": "/scene/initial/angular_velocity/body/0", "values": uniform },
+            ]
+        }))
+    };
+    let halves = |column: &[f64], kind: usize| -> Vec<f64> {
+        column.iter().skip(kind).step_by(5).copied().collect()
+    };
+    // One value in each of the parts of equal probability.
+    let of_spin = values(&sweep(1, &uniform), SPIN);
+    let of_normal = values(&sweep(1, &normal), SPIN);
+    for kind in [0, 1] {
+        let mut parts: Vec<usize> = halves(&of_spin, kind)
+            .iter()
+            .map(|x| ((x + pi) / (2.0 * pi) * ROWS as f64) as usize)
+            .collect();
+        assert!(parts.windows(2).any(|pair| pair[0] > pair[1]), "not in order");
+        parts.sort_unstable();
+        assert!(parts.iter().copied().eq(0..ROWS), "{kind}");
+        let found = halves(&of_normal, kind);
+        let mean = found.iter().sum::<f64>() / ROWS as f64;
+        let variance = found.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / ROWS as f64;
+        assert!((mean - 5.0).abs() < 1e-3 && (variance.sqrt() - 0.5).abs() < 3e-3, "{mean}");
+    }
+    let ishigami = |x: [f64; 3]| {
+        let (s, t) = (libm::sin(x[0]), libm::sin(x[1]));
+        s + 7.0 * t * t + 0.1 * x[2].powi(4) * s
+    };
+    let truth = [(0.313_9, 0.557_6), (0.442_4, 0.442_4), (0.0, 0.243_7)];
+    let squares = |rows: &[Vec<f64>]| {
+        sobol(rows, 0.95).iter().zip(truth).fold(0.0, |sum, (found, (first, total))| {
+            sum + (found.first.value - first).powi(2) + (found.total.value - total).powi(2)
+        })
+    };
+    let (mut even, mut independent) = (0.0, 0.0);
+    for seed in 0..4 {
+        let sweep = sweep(seed, &uniform);
+        let point = |member: u64| {
+            let changed = sweep.scenario(member).expect("a scenario").to_json();
+            let changed: Value = serde_json::from_slice(&changed).expect("JSON");
+            let number = |pointer| changed.pointer(pointer).and_then(Value::as_f64);
+            [SPIN, TILT, "/scene/initial/angular_velocity/body/0"]
+                .map(|pointer| number(pointer).expect("a number"))
+        };
+        let rows = |point: &mut dyn FnMut(u64) -> [f64; 3]| -> Vec<Vec<f64>> {
+            let row = |row: u64| (0..5).map(|kind| ishigami(point(5 * row + kind))).collect();
+            (0..ROWS as u64).map(row).collect()
+        };
+        even += squares(&rows(&mut |member| point(member)));
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut unit = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+        let mut halves = [[0.0; 3]; 2];
+        independent += squares(&rows(&mut |member| {
+            let kind = member as usize % 5;
+            if kind == 0 {
+                halves =
+                    std::array::from_fn(|_| std::array::from_fn(|_| pi * (2.0 * unit() - 1.0)));
+            }
+            let [a, b] = halves;
+            std::array::from_fn(|k| if kind == 1 || kind == k + 2 { b[k] } else { a[k] })
+        }));
+    }
+    println!(
+        "root mean square of the errors: {:.1e}, {:.1e}",
+        (even / 24.0).sqrt(),
+        (independent / 24.0).sqrt()
+    );
+    assert!(9.0 * even < independent, "{even:e}, {independent:e}");
 }
 
 #[test]
@@ -203,6 +356,32 @@ fn a_bad_sweep_is_refused_at_its_field() {
         sweep[field] = value.clone();
         let error = Sweep::from_json(sweep.to_string().as_bytes()).expect_err(pointer);
         assert_eq!(error.pointer, pointer, "{value}: {}", error.message);
+    }
+    let normal = |pointer: &str, count: u64| json!({ "pointer": pointer, "values": { "normal": { "mean": 1, "deviation": 0.1, "count": count } } });
+    let pair = json!([SPIN, TILT]);
+    for (pointers, matrix, combine, pointer) in [
+        (pair.clone(), json!([[1, 2], [2, 1]]), "side_by_side", "/matrix/0/1"),
+        (pair.clone(), json!([[1, 0.5], [0.4, 1]]), "side_by_side", "/matrix/1/0"),
+        (pair.clone(), json!([[1, 0.5], [0.5, 0.9]]), "side_by_side", "/matrix/1/1"),
+        (pair.clone(), json!([[1, 0.5]]), "side_by_side", "/matrix"),
+        (pair.clone(), json!([[1, 0.5], [0.5, 1]]), "product", ""),
+        (pair.clone(), json!([[1, 0.5], [0.5, 1]]), "saltelli", ""),
+        (json!([SPIN, SPIN]), json!([[1, 1], [1, 1]]), "side_by_side", "/pointers/1"),
+        (json!([SPIN, "/step_s"]), json!([[1, 0], [0, 1]]), "side_by_side", "/pointers/1"),
+        (
+            json!([SPIN, TILT, WEIGHT]),
+            json!([[1, -0.9, -0.9], [-0.9, 1, -0.9], [-0.9, -0.9, 1]]),
+            "side_by_side",
+            "/matrix",
+        ),
+    ] {
+        let mut sweep = one(&linear(2));
+        sweep["vary"] = json!([normal(SPIN, 4), normal(TILT, 4), normal(WEIGHT, 4)]);
+        sweep["combine"] = json!(combine);
+        sweep["correlation"] = json!({ "pointers": pointers, "matrix": matrix });
+        let error = Sweep::from_json(sweep.to_string().as_bytes()).expect_err(pointer);
+        let pointer = format!("/correlation{pointer}");
+        assert_eq!(error.pointer, pointer, "{sweep}: {}", error.message);
     }
     let mut many = one(&linear(2));
     many["scenario"]["ensemble"] = json!({ "members": 3, "momentum_spread": 0.1 });

@@ -6,14 +6,14 @@
     run.time, run.attitude, run.energy.error
 
 `run` runs a scenario in memory or to a log, `read` reads a log, `Simulation` is stepped by you, `Client` asks a service; `plan`,
-`check`, `verify`, `diff` and `sweep` are the commands of the same names. All errors are below `Error`.
+`check`, `verify`, `diff`, `fit` and `sweep` are the commands of the same names. All errors are below `Error`.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import _native
@@ -28,7 +28,7 @@ __version__: str = _native.__version__
 
 __all__ = [
     "Absent", "Chart", "Client", "Controller", "Energy", "Error", "Job", "Momentum", "Pace", "Potential", "Progress", "Run",
-    "RunFailed", "ScenarioError", "Scene", "ServiceError", "Simulation", "Solver", "check", "diff", "plan", "read", "run",
+    "RunFailed", "ScenarioError", "Scene", "ServiceError", "Simulation", "Solver", "check", "diff", "fit", "plan", "read", "run",
     "schema", "sweep", "verify",
 ]
 
@@ -95,6 +95,36 @@ def diff(
     compared, agree = _native.diff(logs[0], logs[1], member, tolerances, rows)
     found: dict[str, Any] = json.loads(compared)
     return found | {"agree": agree}
+
+
+def fit(
+    scene: Scene,
+    to: str | os.PathLike[str] | Run,
+    fields: Sequence[str] = (),
+    *,
+    start_attitude: bool = False,
+    set: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Finds the numbers of a scenario that bring its run closest to attitudes that were seen, as `vpd fit --json`.
+
+    The result has `fitted` (of each number its `field`, `before`, `value` and `standard_error`), their `covariance`, `before_rad` and
+    `after_rad` (roots of the mean squares of the residuals), `residuals` (time in s, before and after in rad), `runs`, and
+    `scenario`, the fitted one, as `run` takes it.
+
+    Args:
+        scene: the scenario to begin with, within about a radian of each attitude.
+        to: the attitudes: a log, a run that has one, or a CSV table as of `vpd export`.
+        fields: JSON pointers of the numbers to fit, as in `/derivatives/parameters`.
+        start_attitude: fit the attitude at the start as well.
+        set: changes of the scenario, by JSON pointer.
+
+    Raises:
+        ScenarioError: the scenario or a field is refused.
+        Error: the attitudes cannot be used, do not determine the fields, or no minimum was found.
+    """
+    found, fitted = _native.fit(text_of(scene, set), _log_of(to), list(fields), start_attitude)
+    result: dict[str, Any] = json.loads(found)
+    return result | {"scenario": json.loads(fitted)}
 
 
 def _log_of(log: str | os.PathLike[str] | Run) -> str:

@@ -257,6 +257,11 @@ class Run:
         n: int = self.plan["dimension"]
         return flat.reshape(len(flat), -1, n * (n - 1))
 
+    @property
+    def covariance(self) -> Numbers:
+        """Covariances of the change of the state to first order, of shape (samples, n (n - 1), n (n - 1)), ordered like `transition`."""
+        return found(self.columns, "covariance", "/derivatives")
+
     def __len__(self) -> int:
         return len(self.time)
 

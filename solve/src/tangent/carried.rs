@@ -19,6 +19,15 @@ pub struct Parameter<const N: usize> {
     pub start: Mat<N>,
 }
 
+/// What is uncertain: changes of one standard deviation each, of independent normal numbers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Uncertainty {
+    /// Of the start, (xi, nu) of 2d numbers one after another: the columns of a factor C of its covariance C C^T.
+    pub start: Vec<f64>,
+    /// Standard deviation of each parameter; zero for those that are not in it.
+    pub parameters: Vec<f64>,
+}
+
 /// A stepper of VPD whose steps also carry the derivatives of the state by the start and by parameters. The states are those
 /// of the stepper inside, to the bit.
 pub struct WithDerivatives<const N: usize> {
@@ -27,6 +36,7 @@ pub struct WithDerivatives<const N: usize> {
     rates: Vec<BodyRate<N>>,
     at_start: Derivatives,
     derivatives: Derivatives,
+    uncertainty: Option<Uncertainty>,
     /// Room for the stages of a step, and for a transition matrix.
     stages: Vec<State<N>>,
     carried: Vec<f64>,
@@ -59,7 +69,40 @@ impl<const N: usize> WithDerivatives<N> {
         let rates = parameters.into_iter().map(|parameter| parameter.body).collect();
         let derivatives = at_start.clone();
         let (stages, carried) = (Vec::new(), Vec::new());
-        Ok(Self { stepper, tangent, rates, at_start, derivatives, stages, carried })
+        let uncertainty = None;
+        Ok(Self { stepper, tangent, rates, at_start, derivatives, uncertainty, stages, carried })
+    }
+
+    /// Gives the derivatives the covariance that follows from that of the start and of the parameters. That of the start needs
+    /// the derivatives by the state.
+    #[must_use]
+    pub fn with_uncertainty(self, uncertainty: Uncertainty) -> Self {
+        Self { uncertainty: Some(uncertainty), ..self }
+    }
+
+    /// The covariance to first order, of the changes c_i of the start and the parameters with deviation s_k:
+    ///
+    /// ```text
+    /// P = sum_i (M c_i) (M c_i)^T + sum_k s_k^2 S_k S_k^T
+    /// ```
+    fn covariance(&self, uncertainty: &Uncertainty) -> Vec<f64> {
+        let rows = 2 * so::dimension(N);
+        let Derivatives { transition, sensitivity, .. } = &self.derivatives;
+        let mut sum = vec![0.0; rows * rows];
+        let mut add = |change: &[f64]| {
+            for (row, x) in sum.chunks_exact_mut(rows).zip(change) {
+                add_scaled(row, change, *x);
+            }
+        };
+        for change in uncertainty.start.chunks_exact(rows) {
+            let products = transition.chunks_exact(rows);
+            let carried = products.map(|row| row.iter().zip(change).map(|(a, b)| a * b).sum());
+            add(&carried.collect::<Vec<f64>>());
+        }
+        for (column, deviation) in sensitivity.chunks_exact(rows).zip(&uncertainty.parameters) {
+            add(&column.iter().map(|x| deviation * x).collect::<Vec<f64>>());
+        }
+        sum
     }
 
     fn state(&self) -> State<N> {
@@ -80,7 +123,7 @@ impl<const N: usize> WithDerivatives<N> {
                 }
             })?;
         let rows = 2 * so::dimension(N);
-        let Derivatives { transition, sensitivity } = &mut self.derivatives;
+        let Derivatives { transition, sensitivity, .. } = &mut self.derivatives;
         if !transition.is_empty() {
             self.carried.clear();
             self.carried.resize(rows * rows, 0.0);
@@ -128,8 +171,9 @@ impl<const N: usize> Stepper<N> for WithDerivatives<N> {
         Ok(solved)
     }
 
-    fn derivatives(&self) -> Option<&Derivatives> {
-        Some(&self.derivatives)
+    fn derivatives(&self) -> Option<Derivatives> {
+        let covariance = self.uncertainty.as_ref().map(|given| self.covariance(given));
+        Some(Derivatives { covariance: covariance.unwrap_or_default(), ..self.derivatives.clone() })
     }
 
     fn clock(&self) -> Option<&Clock<N>> {
