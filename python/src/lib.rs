@@ -243,10 +243,20 @@ mod _native {
         start_attitude: bool,
     ) -> PyResult<(String, String)> {
         let scenario = settled(py, text, &Control::default())?.asked;
-        let made = watched(py, || (), Follow::default(), || {
-            let seen = seen(&to)?;
-            fitted(Question { scenario: &scenario, fields: &fields, start_attitude, seen: &seen })
-        })?;
+        let made = watched(
+            py,
+            || (),
+            Follow::default(),
+            || {
+                let seen = seen(&to)?;
+                fitted(Question {
+                    scenario: &scenario,
+                    fields: &fields,
+                    start_attitude,
+                    seen: &seen,
+                })
+            },
+        )?;
         let found = made.map_err(|error: FitError| match error {
             FitError::Scenario(mut error) => {
                 // An argument, which the command line names as its own.

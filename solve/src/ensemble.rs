@@ -119,6 +119,8 @@ pub fn integrate<const N: usize, E>(
         }
     };
     let is_located = body.stops().iter().any(|stop| stop.exact);
+    // Where a step began, of those that go on.
+    let mut begun = Vec::new();
     let mut going: Vec<usize> = (0..initial.len()).collect();
     let mut step = 0;
     loop {
@@ -139,20 +141,19 @@ pub fn integrate<const N: usize, E>(
             }
             break;
         }
-        let begun: Vec<_> = if is_located {
-            going.iter().map(|&m| Some(bookkeeping[m].begun(members.member(m)))).collect()
-        } else {
-            vec![None; going.len()]
-        };
+        if is_located {
+            begun.extend(going.iter().map(|&m| bookkeeping[m].begun(members.member(m))));
+        }
         members.step(body, step as f64 * step_s, step_s, &going, &mut |m, result| {
             bookkeeping[m].stepped(result)
         });
         step += 1;
-        for (&m, begun) in going.iter().zip(begun) {
+        let mut begun = begun.drain(..);
+        for &m in &going {
             if !body.stops().is_empty() {
                 bookkeeping[m].look_for_a_stop(body, members.member(m));
             }
-            if let Some(begun) = begun {
+            if let Some(begun) = begun.next() {
                 bookkeeping[m].end_within(body, members.member(m), begun);
             }
             if !bookkeeping[m].goes_on() {

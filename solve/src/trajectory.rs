@@ -368,7 +368,7 @@ impl<const N: usize> Bookkeeping<N> {
         let mut begun = self.reached.clone();
         put_in(&mut begun, stepper);
         (begun.attitude, begun.momentum) = (stepper.attitude(), stepper.momentum());
-        begun.derivatives = stepper.derivatives().cloned();
+        begun.derivatives = stepper.derivatives();
         begun
     }
 
