@@ -122,11 +122,16 @@ pub struct Sobol {
 pub fn sobol(rows: &[Vec<f64>], confidence: f64) -> Vec<Sobol> {
     const RESAMPLES: usize = 200;
     let fields = rows.first().map_or(0, |row| row.len().saturating_sub(2));
+    if rows.is_empty() {
+        return Vec::new();
+    }
+    // About their mean the products scatter least, and the squares lose no digits. In parts, for numbers near the largest double.
+    let numbers = rows.iter().flatten();
+    let each = 1.0 / (rows.len() * (fields + 2)) as f64;
+    let origin = numbers.fold(0.0, |sum, x| sum + x * each);
     let of = |chosen: &mut dyn Iterator<Item = &Vec<f64>>| -> Vec<(f64, f64)> {
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
         let mut sums = vec![(0.0, 0.0); fields];
-        // Away from its mean a quantity would lose digits in the sum of squares.
-        let origin = rows[0][0];
         for row in chosen {
             let (a, b) = (row[0] - origin, row[1] - origin);
             count += 2.0;
@@ -142,9 +147,6 @@ pub fn sobol(rows: &[Vec<f64>], confidence: f64) -> Vec<Sobol> {
         let each = 0.5 * count * variance;
         sums.iter().map(|(first, total)| (first / each, total / each)).collect()
     };
-    if rows.is_empty() {
-        return Vec::new();
-    }
     let whole = of(&mut rows.iter());
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut resampled: Vec<Vec<(f64, f64)>> = Vec::with_capacity(RESAMPLES);

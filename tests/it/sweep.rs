@@ -261,7 +261,7 @@ fn values_for_indices_are_even() {
         (even / 24.0).sqrt(),
         (independent / 24.0).sqrt()
     );
-    assert!(9.0 * even < independent, "{even:e}, {independent:e}");
+    assert!(4.0 * even < independent, "{even:e}, {independent:e}");
 }
 
 #[test]
