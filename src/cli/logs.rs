@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 
-use super::{
-    CliError, Status, a_log, enough, may_write, output_path, print_json, show, to_file, write_whole,
-};
+use super::{CliError, Status, a_log, enough, may_write, output_path, print_json, show, to_file};
 use crate::diff::{self, Comparison, Quantity, Tolerance};
 use crate::export::{self, Choice, ExportError, Format};
 use crate::log::schema::Channel;
@@ -128,7 +126,7 @@ pub(super) fn diff(args: &DiffArgs) -> Result<Status, CliError> {
         may_write(path)?;
         let names = logs.map(|log| log.display().to_string());
         let svg = crate::chart::differences(&names.join(" and "), &found)?;
-        write_whole(path, svg.as_bytes())?;
+        super::write_whole(path, svg.as_bytes())?;
     }
     let agree = found.agrees();
     found.over_time = found.rows(args.rows);

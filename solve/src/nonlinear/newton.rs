@@ -17,8 +17,10 @@ const MAX_PRODUCTS: usize = 60;
 /// Length of a difference, for unknowns of size one: the errors by rounding and by curvature are
 /// then about equal.
 const DIFFERENCE: f64 = 1e-7;
-/// Part of the residual at most that a correction leaves where it makes the increment larger.
+/// Part of the residual at most that a correction leaves where it makes the increment larger, and the increments, in parts of
+/// those that rounding makes, for which it may.
 const FALLS: f64 = 0.1;
+const NEAR_ROUND_OFF: f64 = 1e3;
 /// Number of times a correction is halved before it is abandoned.
 const HALVINGS: u32 = 8;
 
@@ -87,7 +89,7 @@ impl Newton {
     }
 
     /// Goes from z to z + d and sweeps; halves d while that makes the increment larger. An increment is of some unknowns
-    /// alone: it may rise while what is left of all falls.
+    /// alone: near round-off it may rise while what is left of all falls.
     fn corrected(
         &mut self,
         equations: &mut dyn Equations,
@@ -103,7 +105,8 @@ impl Newton {
                 // Near round-off an increment may rise a little.
                 Ok(increment)
                     if increment <= before.max(equations.floor())
-                        || self.left_at_image(equations) <= FALLS * left =>
+                        || increment <= NEAR_ROUND_OFF * equations.floor()
+                            && self.left_at_image(equations) <= FALLS * left =>
                 {
                     std::mem::swap(&mut self.at, &mut self.image);
                     return Ok(increment);
