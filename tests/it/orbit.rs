@@ -464,7 +464,7 @@ fn what_acts_is_in_tables_and_ensembles() {
         ("air-and-light", vec!["energy_work", "momentum_impulse_x"]),
         ("nutation-damper", vec!["control_command_1", "wheel_momenta_1", "wheel_speeds_1"]),
         ("slew", vec!["control_command_1", "pointing_error_rad", "wheel_momenta_3"]),
-        ("detumble", vec!["control_command_1", "control_field_3"]),
+        ("detumble", vec!["control_command_1", "control_field_z"]),
     ] {
         let mut scenario = short(name);
         scenario["ensemble"] = json!({
