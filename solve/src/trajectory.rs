@@ -481,6 +481,10 @@ impl<const N: usize> Bookkeeping<N> {
         }
         while after_s - before_s > EXACT_S {
             let middle_s = 0.5 * (before_s + after_s);
+            // In a step so long that its numbers are farther apart.
+            if middle_s <= before_s || middle_s >= after_s {
+                break;
+            }
             self.part(system, stepper, middle_s).1?;
             if self.margin(stop, system, stepper, begun_s + middle_s) > 0.0 {
                 after_s = middle_s;
