@@ -2,16 +2,19 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::PyBytes;
 use vpd::run::{Control, PotentialOfRows};
 
 use crate::arrays::array;
 
-/// Two functions of an attitude. The first exception of either ends the run.
+/// Two functions of attitudes. The first exception of either ends the run.
 #[derive(Debug)]
 pub(crate) struct Law {
     energy: Py<PyAny>,
-    slope: Py<PyAny>,
+    gradient: Py<PyAny>,
     dimension: usize,
     control: Arc<Control>,
     raised: Mutex<Option<PyErr>>,
@@ -24,8 +27,8 @@ impl Law {
         control: Arc<Control>,
     ) -> PyResult<Self> {
         let energy = potential.getattr("energy")?.unbind();
-        let slope = potential.getattr("slope")?.unbind();
-        Ok(Self { energy, slope, dimension, control, raised: Mutex::default() })
+        let gradient = potential.getattr("gradient")?.unbind();
+        Ok(Self { energy, gradient, dimension, control, raised: Mutex::default() })
     }
 
     /// Returns the exception that was raised.
@@ -33,11 +36,17 @@ impl Law {
         self.raised.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
-    fn called<T>(&self, g: &[f64], of: impl FnOnce(Bound<'_, PyAny>) -> PyResult<T>) -> Option<T> {
+    /// Calls a function with the attitudes as an array (k, n, n); returns its numbers, k times `each` of them.
+    fn called(&self, function: &Py<PyAny>, g: &[f64], each: &[usize]) -> Option<Vec<f64>> {
         Python::attach(|py| {
             let n = self.dimension;
-            match array(py, &[n, n], g).and_then(of) {
-                Ok(value) => Some(value),
+            let attitudes = g.len() / (n * n);
+            let shape = [&[attitudes], each].concat();
+            let found = array(py, &[attitudes, n, n], g)
+                .and_then(|g| function.bind(py).call1((g,)))
+                .and_then(|found| numbers(&found, &shape));
+            match found {
+                Ok(numbers) => Some(numbers),
                 Err(error) => {
                     let mut raised = self.raised.lock().unwrap_or_else(PoisonError::into_inner);
                     raised.get_or_insert(error);
@@ -49,23 +58,31 @@ impl Law {
     }
 }
 
+/// Returns the numbers of an array of a given shape, or of what makes one.
+fn numbers(found: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<f64>> {
+    static AS_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let as_array = AS_ARRAY.import(found.py(), "numpy", "asarray")?;
+    let found = as_array.call1((found, "=f8"))?;
+    let given: Vec<usize> = found.getattr("shape")?.extract()?;
+    if given != shape {
+        let text = format!(
+            "energy(g) must return an array of shape (k,), gradient(g) one of (k, n, n), dU/dg_ij, for g of shape (k, n, n): {shape:?} is needed here, {given:?} was returned"
+        );
+        return Err(PyValueError::new_err(text));
+    }
+    let bytes = found.call_method0("tobytes")?;
+    let (numbers, _) = bytes.cast::<PyBytes>()?.as_bytes().as_chunks();
+    Ok(numbers.iter().map(|&number| f64::from_ne_bytes(number)).collect())
+}
+
 impl PotentialOfRows for Law {
     fn energy(&self, g: &[f64]) -> f64 {
-        let value = self.called(g, |g| self.energy.bind(g.py()).call1((&g,))?.extract());
-        value.unwrap_or(f64::NAN)
+        let found = self.called(&self.energy, g, &[]);
+        found.and_then(|found| found.first().copied()).unwrap_or(f64::NAN)
     }
 
-    fn slope(&self, g: &[f64]) -> Vec<f64> {
-        let rows = self.called(g, |g| {
-            let slope = self.slope.bind(g.py()).call1((&g,))?;
-            let rows: Vec<Vec<f64>> = slope.call_method0("tolist").unwrap_or(slope).extract()?;
-            let n = self.dimension;
-            if rows.len() != n || rows.iter().any(|row| row.len() != n) {
-                let text = format!("slope(g) must return {n} rows of {n} numbers, dU/dg_ij");
-                return Err(pyo3::exceptions::PyValueError::new_err(text));
-            }
-            Ok(rows.concat())
-        });
-        rows.unwrap_or_default()
+    fn gradients(&self, g: &[f64]) -> Vec<f64> {
+        let n = self.dimension;
+        self.called(&self.gradient, g, &[n, n]).unwrap_or_default()
     }
 }

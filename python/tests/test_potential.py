@@ -12,16 +12,17 @@ class Weight:
     """U = weight <e_n, g point>: the term `uniform`."""
 
     def __init__(self, weight, point):
-        self.weight, self.point, self.calls = weight, np.asarray(point), 0
+        self.weight, self.point, self.calls, self.most = weight, np.asarray(point), 0, 0
 
     def energy(self, g):
-        return self.weight * (g @ self.point)[-1]
+        return self.weight * (g @ self.point)[:, -1]
 
-    def slope(self, g):
+    def gradient(self, g):
         self.calls += 1
-        slope = np.zeros_like(g)
-        slope[-1] = self.weight * self.point
-        return slope
+        self.most = max(self.most, len(g))
+        gradient = np.zeros_like(g)
+        gradient[:, -1] = self.weight * self.point
+        return gradient
 
 
 def top(weight, **more):
@@ -43,7 +44,9 @@ def test_the_motion_is_that_of_the_built_in_term(tableau):
     built_in = vpd.run(top(2.0, **method))
     law = Weight(2.0, POINT)
     own = vpd.run(top(0.0, **method), potential=law)
+    # All stages of a round in one call.
     assert law.calls > 1000
+    assert law.most >= int(tableau[-1])
     assert np.abs(own.attitude - built_in.attitude).max() < 1e-13
     assert np.abs(own.body_momentum - built_in.body_momentum).max() < 1e-13
     assert np.abs(own.energy.total - built_in.energy.total).max() < 1e-13
@@ -61,7 +64,9 @@ def test_a_body_at_rest_is_set_off_and_four_dimensions_work():
         "scene": {"inertia": {"second_moments": [0.4, 0.7, 1.0, 1.3]}},
     }
     point = [0.1, 0.2, 0.3, 0.4]
-    own = vpd.run(four, potential=Weight(1.5, point))
+    law = Weight(1.5, point)
+    own = vpd.run(four, potential=law)
+    assert law.most >= 2
     four["scene"]["potential"] = [{"kind": "uniform", "weight": 1.5, "body_point": point, "direction": [0, 0, 0, 1]}]
     assert np.abs(own.attitude - vpd.run(four).attitude).max() < 1e-13
 
@@ -78,24 +83,24 @@ def test_a_log_is_kept_and_read(tmp_path):
 
 def test_mistakes_are_named():
     class Wrong(Weight):
-        def slope(self, g):
-            return -super().slope(g)
+        def gradient(self, g):
+            return -super().gradient(g)
 
-    with pytest.raises(vpd.Error, match="slope of the potential differs"):
+    with pytest.raises(vpd.Error, match="gradient of the potential differs"):
         vpd.run(top(0.0), potential=Wrong(1.0, POINT))
 
     class Short(Weight):
-        def slope(self, g):
+        def gradient(self, g):
             return [1.0, 2.0, 3.0]
 
     with pytest.raises((ValueError, TypeError)):
         vpd.run(top(0.0), potential=Short(1.0, POINT))
 
     class Late(Weight):
-        def slope(self, g):
+        def gradient(self, g):
             if self.calls > 500:
                 raise RuntimeError("no more")
-            return super().slope(g)
+            return super().gradient(g)
 
     with pytest.raises(RuntimeError, match="no more"):
         vpd.run(top(0.0), potential=Late(1.0, POINT))
@@ -114,8 +119,8 @@ def test_mistakes_are_named():
 
 def test_a_step_that_fails_keeps_the_run_so_far():
     class Hole(Weight):
-        def slope(self, g):
-            return np.full((3, 3), np.nan) if self.calls > 2000 else super().slope(g)
+        def gradient(self, g):
+            return np.full_like(g, np.nan) if self.calls > 2000 else super().gradient(g)
 
     with pytest.raises(vpd.RunFailed) as failed:
         vpd.run(top(0.0), potential=Hole(1.0, POINT))

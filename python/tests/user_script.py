@@ -23,13 +23,13 @@ def damping(time: float, attitude: NDArray[np.float64], velocity: NDArray[np.flo
 
 
 class Hinge:
-    def energy(self, g: NDArray[np.float64]) -> float:
-        return float(0.5 * g[2, 2] ** 2)
+    def energy(self, g: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 0.5 * g[:, 2, 2] ** 2
 
-    def slope(self, g: NDArray[np.float64]) -> NDArray[np.float64]:
-        slope = np.zeros((3, 3))
-        slope[2, 2] = g[2, 2]
-        return slope
+    def gradient(self, g: NDArray[np.float64]) -> NDArray[np.float64]:
+        gradient = np.zeros_like(g)
+        gradient[:, 2, 2] = g[:, 2, 2]
+        return gradient
 
 
 def main() -> float:

@@ -290,6 +290,15 @@ impl<const N: usize> RigidBody<N> {
     /// A term U(q) with `q = u^T v` has `dH/dg = q (dU/dq)^T - (dU/dq) q^T`: from `x = g y` the paper's
     /// `asym(g^T grad_g U)`.
     pub fn gradient_seen(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
+        let mut sum = self.terms_gradient_seen(u, seen);
+        if self.has_user_potential() {
+            sum += self.user.gradient(&self.attitude_of(u, seen));
+        }
+        sum
+    }
+
+    /// The part of the terms.
+    fn terms_gradient_seen(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
         self.count(1);
         let mut sum = Mat::zeros();
         for (term, v) in self.terms.iter().zip(seen) {
@@ -301,10 +310,14 @@ impl<const N: usize> RigidBody<N> {
                 }
             }
         }
-        if self.has_user_potential() {
-            sum += self.user.gradient(&self.attitude_of(u, seen));
-        }
         sum
+    }
+
+    /// [`Self::gradient_seen`] at several attitudes, with each user-defined potential called once.
+    pub(crate) fn gradients_seen(&self, u: &[Mat<N>], seen: &[Vector<N>]) -> Vec<Mat<N>> {
+        let g: Vec<_> = u.iter().map(|u| self.attitude_of(u, seen)).collect();
+        let own = self.user.gradients(&g);
+        u.iter().zip(own).map(|(u, own)| self.terms_gradient_seen(u, seen) + own).collect()
     }
 
     /// `g = g0 u`, as user-defined potentials see it.

@@ -173,9 +173,10 @@ pub trait StageScalar: Stored {
     fn vectorized<T>(self, work: impl FnOnce() -> T) -> T;
     /// The largest over the stages.
     fn largest(self) -> Self::StepScalar;
-    /// Applies a law that is not written in lanes to three rows of three numbers, lane by lane.
-    fn lane_by_lane(
+    /// Applies a law that is not written in lanes to three rows of three numbers: it is given those of all lanes, and sets four
+    /// numbers for each.
+    fn out_of_lanes(
         numbers: [[Self; 3]; 3],
-        law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
+        law: &mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]),
     ) -> [Self; 4];
 }

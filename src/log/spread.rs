@@ -76,9 +76,9 @@ impl Sums {
 /// The orthogonal factor of a mean of rotations, by the iteration `X <- X (3 I - X^T X) / 2` (Higham 2008, Functions of Matrices,
 /// 8.20): its singular values are at most one. Of attitudes all over the group it is not determined, and any will do.
 fn nearest_rotation(mut x: Vec<f64>) -> Vec<f64> {
-    const STEPS: u32 = 60;
+    const MOST_STEPS: u32 = 60;
     let n = x.len().isqrt();
-    for _ in 0..STEPS {
+    for _ in 0..MOST_STEPS {
         let column_product =
             |i: usize, j: usize| (0..n).map(|k| x[n * k + i] * x[n * k + j]).sum::<f64>();
         let square: Vec<f64> = (0..n * n).map(|at| column_product(at / n, at % n)).collect();
@@ -86,7 +86,11 @@ fn nearest_rotation(mut x: Vec<f64>) -> Vec<f64> {
             let product = (0..n).map(|k| x[n * i + k] * square[n * k + j]).sum::<f64>();
             1.5 * x[n * i + j] - 0.5 * product
         };
-        x = (0..n * n).map(|at| entry(at / n, at % n)).collect();
+        let next: Vec<f64> = (0..n * n).map(|at| entry(at / n, at % n)).collect();
+        if next == x {
+            break;
+        }
+        x = next;
     }
     x
 }

@@ -14,6 +14,7 @@ use super::Control;
 use super::summary::{self, Advised, Diagnosis, Tried};
 use crate::plan::{NEAR_SIGMA, Plan};
 use crate::scenario::{SMALLEST_STEP_S, Scenario, dividing};
+use crate::solve::control::ControlState;
 use crate::solve::failure::{Failure, FailureCode, two_digits};
 use crate::solve::hamiltonian::{RigidBody, TimeScale};
 use crate::solve::nonlinear::StopRule;
@@ -105,7 +106,7 @@ pub(super) fn diagnosis<const N: usize>(
     patience: Patience,
 ) -> Diagnosis {
     let Broken { initial, reached, schedule, failure, .. } = broken;
-    let stiffness = stiffness(body, broken);
+    let stiffness = stiffness(body, stepper, broken);
     let Patience { most_sweeps, most_own_sweeps, stop } = patience;
     let body = body.clone().with_work(Work::limited(most_sweeps, stop.clone()));
     let start = body.energy(&initial.attitude, &initial.momentum);
@@ -147,16 +148,24 @@ pub(super) fn diagnosis<const N: usize>(
 
 /// Returns the fastest frequency of the potential where the run began or failed, if that is what
 /// asks for a smaller step and not how fast the body turns.
-fn stiffness<const N: usize>(body: &RigidBody<N>, broken: &Broken<'_, N>) -> Option<f64> {
+fn stiffness<const N: usize>(
+    body: &RigidBody<N>,
+    stepper: &dyn Stepper<N>,
+    broken: &Broken<'_, N>,
+) -> Option<f64> {
     /// A step of less than this part of a radian is short for any frequency.
     const SHORT_RAD: f64 = 0.5;
     let &Broken { initial, reached, schedule, .. } = broken;
-    let reached = reached.state();
+    // Of a body under control, with the wheels and the command of that time.
+    let acting = stepper.acting().unwrap_or(body);
+    let failed_s = reached.step as f64 * schedule.step_s;
     let (mut frequency, mut rate) = (0.0_f64, 0.0_f64);
-    for State { attitude, momentum } in [initial, &reached] {
-        frequency = frequency.max(body.fastest_frequency(attitude));
-        let omega = body.velocity(momentum);
-        rate = rate.max(so::inner(&omega, &omega).sqrt());
+    for (body, time_s, state) in [(body, 0.0, initial), (acting, failed_s, &reached.state())] {
+        let State { attitude, momentum } = state;
+        frequency = frequency.max(body.fastest_frequency(time_s, attitude));
+        if let Some(omega) = body.observed_velocity(time_s, attitude, momentum) {
+            rate = rate.max(so::inner(&omega, &omega).sqrt());
+        }
     }
     (frequency * schedule.step_s.abs() > SHORT_RAD && frequency > 2.0 * rate).then_some(frequency)
 }
@@ -170,6 +179,20 @@ enum Went {
     Badly,
     /// Nowhere: the work is done, or it was cancelled.
     Out,
+}
+
+/// Where a try begins.
+struct Origin<'a, const N: usize> {
+    state: &'a State<N>,
+    time_s: f64,
+    /// What the controller knows there; at the start of a run it knows nothing.
+    control: Option<&'a ControlState>,
+}
+
+impl<'a, const N: usize> Origin<'a, N> {
+    fn start(state: &'a State<N>) -> Self {
+        Self { state, time_s: 0.0, control: None }
+    }
 }
 
 /// A search for a step.
@@ -237,7 +260,7 @@ impl<const N: usize> Search<'_, N> {
         let Schedule { step_s, steps, .. } = schedule;
         let most = (most_sweeps * SHARE / SWEEPS * own_s / step_s).ceil();
         let span = Span::of(steps as f64, most.max((reached.step + 2) as f64));
-        let went = self.travels((initial, 0.0), step_s, span.steps);
+        let went = self.travels(&Origin::start(initial), step_s, span.steps);
         let is_near = self.nearest.is_some_and(|pace| pace.least_sigma <= NEAR_SIGMA)
             || failure.code == FailureCode::PotentialSingularity;
         (went == Went::Well && is_near).then(|| span.tried(step_s))
@@ -250,7 +273,7 @@ impl<const N: usize> Search<'_, N> {
         let count = |steps: u64| (steps as f64 * schedule.step_s / step_s).ceil() as u64;
         let left = schedule.steps - reached.step;
         let past = count(left.min(2));
-        let went = self.travels((initial, 0.0), step_s, span.steps);
+        let went = self.travels(&Origin::start(initial), step_s, span.steps);
         if went != Went::Well || span.is_whole || count(reached.step) + past <= span.steps {
             return went;
         }
@@ -263,26 +286,32 @@ impl<const N: usize> Search<'_, N> {
         if past > span.steps {
             return Went::Out;
         }
-        let reached_s = reached.step as f64 * schedule.step_s;
-        self.travels((&last, reached_s), step_s, count(left).min(span.steps))
+        let time_s = reached.step as f64 * schedule.step_s;
+        let origin = Origin { state: &last, time_s, control: reached.control.as_ref() };
+        self.travels(&origin, step_s, count(left).min(span.steps))
     }
 
-    /// Makes `steps` steps from a state at time `from_s`.
-    fn travels(&mut self, (from, from_s): (&State<N>, f64), step_s: f64, steps: u64) -> Went {
+    /// Makes `steps` steps from an origin.
+    fn travels(&mut self, origin: &Origin<'_, N>, step_s: f64, steps: u64) -> Went {
         /// The round-off of the potential is no loss.
         const ROUND_OFF: f64 = 1e-9;
         /// A loss of this many times what may be lost ends a try at once.
         const GONE: f64 = 4.0;
         let Self { body, stepper, start, adapts, nearest, .. } = self;
+        let &Origin { state: from, time_s: from_s, control } = origin;
         let every = steps.div_ceil(LOOKS);
         let (mut kinetic, mut off) = (0.0_f64, 0.0_f64);
         stepper.start(from);
+        if let Some(control) = control {
+            stepper.set_control(control);
+        }
         let mut knots = Knots::default();
         if let Some(own_s) = stepper.own_step_s().filter(|_| *adapts) {
             *own_s = step_s;
         }
         // A driven body gains and loses energy on the way, which is counted from here.
         let begun = if body.is_driven() {
+            let body = stepper.acting().unwrap_or(body);
             body.energy_at(from_s, &from.attitude, &from.momentum).total()
         } else {
             *start
@@ -306,6 +335,7 @@ impl<const N: usize> Search<'_, N> {
                     *nearest = Some(pace);
                 }
                 let attitude = stepper.attitude().unwrap_or(from.attitude);
+                let body = stepper.acting().unwrap_or(body);
                 let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);
                 off = off.max((energy.total() - begun - stepper.work()).abs());

@@ -20,11 +20,12 @@ use crate::solve::so::{self, Mat};
 /// A potential energy U(g) of a caller who learns n when the program runs, as an interpreter does; in Rust
 /// [`Potential`] is the one for a known n.
 pub trait PotentialOfRows: Debug + Send + Sync {
-    /// U(g) in J; `g`, from body to space coordinates, is n x n, row by row.
+    /// U(g) in J at one attitude; `g`, from body to space coordinates, is n x n, row by row.
     fn energy(&self, g: &[f64]) -> f64;
 
-    /// `D_ij = dU/dg_ij` in J, n x n, row by row; of another length it is as good as NaN.
-    fn slope(&self, g: &[f64]) -> Vec<f64>;
+    /// `D_ij = dU/dg_ij` in J at each of the attitudes `g`, most often the stages of a step: k x n x n, row by row, as the
+    /// attitudes are. What is missing is as good as NaN.
+    fn gradients(&self, g: &[f64]) -> Vec<f64>;
 }
 
 /// Reason why a scenario does not run with a potential of one's own.
@@ -33,7 +34,7 @@ pub enum PotentialError {
     /// The scenario is refused, with a potential or at all.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The slope is not that of the energy, or the run failed.
+    /// The gradient is not that of the energy, or the run failed.
     #[error(transparent)]
     Run(#[from] RunError),
 }
@@ -100,19 +101,19 @@ fn planned(scenario: &Scenario) -> Result<Plan, ScenarioError> {
 /// Returns the body with the potential.
 ///
 /// # Errors
-/// If its slope at an attitude is not that of its energy.
+/// If its gradient at an attitude is not that of its energy.
 pub(super) fn added<const N: usize>(
     body: RigidBody<N>,
     potential: Arc<dyn PotentialOfRows>,
     attitude: &Mat<N>,
 ) -> Result<RigidBody<N>, RunError> {
-    /// A slope that is off by more has an error of its formula.
+    /// A gradient that is off by more has an error of its formula.
     const WRONG: f64 = 1e-3;
     let potential = Rows(potential);
     let off = gradient_error::<N>(&potential, attitude);
     if !(off < WRONG) {
         return Err(RunError::Invalid(format!(
-            "at the start the slope of the potential differs by {off:.1e} of its size from differences of its energy; D_ij = dU/dg_ij is needed"
+            "at the start the gradient of the potential differs by {off:.1e} of its size from differences of its energy; D_ij = dU/dg_ij is needed"
         )));
     }
     Ok(body.with_potential(Arc::new(potential)))
@@ -126,12 +127,17 @@ impl<const N: usize> Potential<N> for Rows {
         self.0.energy(g.transpose().as_slice())
     }
 
-    // asym(g^T D)
     fn gradient(&self, g: &Mat<N>) -> Mat<N> {
-        let slope = self.0.slope(g.transpose().as_slice());
-        if slope.len() != N * N {
-            return Mat::repeat(f64::NAN);
-        }
-        so::asym(&(g.transpose() * Mat::from_row_slice(&slope)))
+        let found = Potential::<N>::gradients(self, std::slice::from_ref(g)).pop();
+        found.unwrap_or_else(|| Mat::repeat(f64::NAN))
+    }
+
+    // asym(g^T D)
+    fn gradients(&self, g: &[Mat<N>]) -> Vec<Mat<N>> {
+        let rows: Vec<f64> =
+            g.iter().flat_map(|g| g.transpose().iter().copied().collect::<Vec<_>>()).collect();
+        let slopes = self.0.gradients(&rows);
+        let slopes = slopes.chunks_exact(N * N).map(Mat::from_row_slice);
+        g.iter().zip(slopes).map(|(g, d)| so::asym(&(g.transpose() * d))).collect()
     }
 }

@@ -226,6 +226,25 @@ fn a_stop_within_a_step_is_where_theory_has_it() {
     }
 }
 
+/// Steps of a billion seconds, in which neighbouring numbers are farther apart than a stop is located to elsewhere.
+#[test]
+fn a_stop_is_located_in_the_longest_steps() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = pendulum();
+    scenario["scene"]["potential"] = json!([]);
+    scenario["scene"]["initial"] = json!({ "angular_velocity": { "body": [0, 9e-11, 0] } });
+    scenario["until"][0]["angle_above_rad"]["angle_rad"] = json!(0.7);
+    scenario["method"] = json!({ "name": "vpd", "tableau": "gauss6" });
+    scenario["step_s"] = json!(1e9);
+    scenario["duration_s"] = json!(2e10);
+    let summary =
+        run(&scenario, &place.path().join("log.mcap"), &Control::default()).expect("a log");
+    let off_s = summary.time_s - 0.7 / 9e-11;
+    println!("off by {off_s:e} s of {:e}", summary.time_s);
+    // A turn of 1e-14 rad takes 1e-4 s.
+    assert!(summary.stopped.is_some() && off_s.abs() < 1e-4, "{off_s:e}");
+}
+
 /// A stop within a step has the same bytes after an interruption anywhere, and the same time with other steps, also with samples of
 /// the control within them.
 #[test]

@@ -25,23 +25,25 @@ Numbers = NDArray[np.float64]
 class Potential(Protocol):
     """A potential energy U(g) of an attitude g: the n x n matrix from body to space coordinates.
 
+    Both functions are called with k attitudes at once, an array of shape (k, n, n): all stages of a step, for the gradient.
+
     ```python
     class Hinge:
-        def energy(self, g):                    # in J
-            return 0.5 * g[2, 2] ** 2
+        def energy(self, g):                    # (k,), in J
+            return 0.5 * g[:, 2, 2] ** 2
 
-        def slope(self, g):                     # D_ij = dU/dg_ij in J, n x n
-            slope = np.zeros((3, 3))
-            slope[2, 2] = g[2, 2]
-            return slope
+        def gradient(self, g):                  # D_ij = dU/dg_ij in J, (k, n, n)
+            gradient = np.zeros_like(g)
+            gradient[:, 2, 2] = g[:, 2, 2]
+            return gradient
     ```
 
-    A slope that is not that of the energy is refused at the start of the run.
+    A gradient that is not that of the energy is refused at the start of the run.
     """
 
-    def energy(self, g: Numbers, /) -> float: ...
+    def energy(self, g: Numbers, /) -> ArrayLike: ...
 
-    def slope(self, g: Numbers, /) -> ArrayLike: ...
+    def gradient(self, g: Numbers, /) -> ArrayLike: ...
 
 
 CHARTS = {
@@ -399,7 +401,7 @@ def run(
         log: the MCAP log to write; none if absent. Its bytes are those of `vpd run`.
         set: values of fields by their JSON pointers, as {"/step_s": 0.02}; None removes a field.
         potential: a potential energy of your own, in addition to the terms of the scene: an object with `energy(g)` and
-            `slope(g)`, see `Potential`. For one body that nothing else drives, by the method vpd. Its log is read by everything but
+            `gradient(g)`, see `Potential`. For one body that nothing else drives, by the method vpd. Its log is read by everything but
             `verify`, which does not know the law. What the functions raise ends the run, and is raised here.
         force: whether an existing log is replaced.
         progress: True for a bar, or a function of the steps done and of all.

@@ -55,6 +55,12 @@ pub trait Potential<const N: usize>: Debug + Send + Sync {
     /// on the body, and `asym(g^T D)` for the matrix `D_ij = dU/dg_ij`. Only its skew part is used.
     fn gradient(&self, g: &Mat<N>) -> Mat<N>;
 
+    /// The gradients at several attitudes, most often the stages of a step: for a law that it takes longer to call than to
+    /// compute. One for each attitude.
+    fn gradients(&self, g: &[Mat<N>]) -> Vec<Mat<N>> {
+        g.iter().map(|g| self.gradient(g)).collect()
+    }
+
     /// Space vectors v through whose body images `g^T v` alone U depends on g: rotations of space that keep them are
     /// symmetries. Unless it says otherwise a potential depends on all axes, and has none. A list that is too short makes a
     /// drift of a momentum that is not conserved.
@@ -135,6 +141,17 @@ impl<const N: usize> UserPotentials<N> {
         let sum = self.laws.iter().fold(Mat::zeros(), |sum, law| sum + law.gradient(g));
         // A sum that is skew to the bit stays as it is.
         so::skew(&sum)
+    }
+
+    /// [`Self::gradient`] at each of the attitudes; NaN where a law answers for too few.
+    pub(super) fn gradients(&self, g: &[Mat<N>]) -> Vec<Mat<N>> {
+        let mut sums = vec![Mat::zeros(); g.len()];
+        for law in &self.laws {
+            let found = law.gradients(g).into_iter();
+            let found = found.chain(std::iter::repeat(Mat::repeat(f64::NAN)));
+            sums.iter_mut().zip(found).for_each(|(sum, gradient)| *sum += gradient);
+        }
+        sums.iter().map(so::skew).collect()
     }
 
     pub(super) fn check(&self, g: &Mat<N>) -> Result<(), Failure> {

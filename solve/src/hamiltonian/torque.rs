@@ -57,11 +57,13 @@ impl RigidBody<3> {
             let v: Vec3<R> = vec3!(i => lanes.spread(lanes.stage(0).load(&v[i])));
             *row = transposed_product(u, &v);
         }
-        let [x, y, z, refused] = R::lane_by_lane(g, &mut |g| {
-            let g = Mat::<3>::from_fn(|i, j| g[i][j]);
-            let torque = so3::vee(&self.user.gradient(&g));
-            let refused = if self.user.check(&g).is_err() { 0.0 } else { -1.0 };
-            [torque.x, torque.y, torque.z, refused]
+        let [x, y, z, refused] = R::out_of_lanes(g, &mut |g, found| {
+            let g: Vec<_> = g.iter().map(|g| Mat::<3>::from_fn(|i, j| g[i][j])).collect();
+            for ((found, g), gradient) in found.iter_mut().zip(&g).zip(self.user.gradients(&g)) {
+                let torque = so3::vee(&gradient);
+                let refused = if self.user.check(g).is_err() { 0.0 } else { -1.0 };
+                *found = [torque.x, torque.y, torque.z, refused];
+            }
         });
         ([x, y, z], refused)
     }

@@ -349,21 +349,28 @@ macro_rules! stages_in_turn {
             }
 
             #[inline(always)]
-            fn lane_by_lane(
+            fn out_of_lanes(
                 numbers: [[Self; 3]; 3],
-                law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
+                law: &mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]),
             ) -> [Self; 4] {
+                let lanes = <$whole as StepScalar>::LANES;
+                let at = |k: usize, lane: usize| {
+                    numbers.map(|row| row.map(|x| x.0[k].lane(lane)))
+                };
+                let given: Vec<_> =
+                    (0..$stages * lanes).map(|i| at(i / lanes, i % lanes)).collect();
+                let mut found = vec![[0.0; 4]; given.len()];
+                law(&given, &mut found);
                 let mut made = [numbers[0][0]; 4];
-                for k in 0..$stages {
-                    let mut lanes = [Row::splat(0.0); 4];
-                    for lane in 0..<$whole as StepScalar>::LANES {
-                        let found = law(numbers.map(|row| row.map(|x| x.0[k].lane(lane))));
-                        for (row, x) in lanes.iter_mut().zip(found) {
+                for (k, found) in found.chunks_exact(lanes).enumerate() {
+                    let mut rows = [Row::splat(0.0); 4];
+                    for (lane, found) in found.iter().enumerate() {
+                        for (row, &x) in rows.iter_mut().zip(found) {
                             row[lane] = x;
                         }
                     }
-                    for (stages, lanes) in made.iter_mut().zip(&lanes) {
-                        stages.0[k] = stages.0[k].of_lanes(lanes);
+                    for (stages, row) in made.iter_mut().zip(&rows) {
+                        stages.0[k] = stages.0[k].of_lanes(row);
                     }
                 }
                 made

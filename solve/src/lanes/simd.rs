@@ -155,13 +155,16 @@ macro_rules! stage_lanes {
             }
 
             #[inline(always)]
-            fn lane_by_lane(
+            fn out_of_lanes(
                 numbers: [[Self; 3]; 3],
-                law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
+                law: &mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]),
             ) -> [Self; 4] {
+                let given: [_; $lanes] =
+                    std::array::from_fn(|lane| numbers.map(|row| row.map(|x| x[lane])));
+                let mut found = [[0.0; 4]; $lanes];
+                law(&given, &mut found);
                 let mut made = [Row::splat(0.0); 4];
-                for lane in 0..$lanes {
-                    let found = law(numbers.map(|row| row.map(|x| x[lane])));
+                for (lane, found) in found.into_iter().enumerate() {
                     for (row, x) in made.iter_mut().zip(found) {
                         row[lane] = x;
                     }

@@ -49,7 +49,7 @@ use convergence::{
     COST_OF_A_SWEEP, FAR_ENOUGH, MODEST_STRETCH, MODEST_TURN_SQUARE, MOST_OFF_THE_GROUP,
     SolveError, Solved,
 };
-use deferred::{AtStage, Collocation, StageSlot, StepStart, SystemView, Velocity};
+use deferred::{AtStage, Collocation, StageSlot, StageValues, StepStart, SystemView, Velocity};
 pub(crate) use motion::Motion;
 pub(super) use stepper_state::StepperState;
 use sweeps::{End, Stage, Sweeps};
@@ -630,10 +630,24 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         self.0.begin_sweep()
     }
 
-    fn gradient(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
-        let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
-        let found = self.0.gradient(at.stage, &u, &|| of_stage(mu, at), &omega);
-        to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
+    fn gradients(&self, stages: usize, stride: usize, at: StageValues<'_>, gradient: &mut [f64]) {
+        let StageValues { c, mu, omega } = at;
+        let slots = (0..stages).map(|stage| StageSlot { stage, stride });
+        let own = self.0.body().filter(|view| view.scale.is_none());
+        if let Some(BodyView { body, vectors, .. }) =
+            own.filter(|view| view.body.has_user_potential())
+        {
+            let u: Vec<_> = slots.clone().map(|at| attitude_of(c, at)).collect();
+            for (at, found) in slots.zip(body.gradients_seen(&u, vectors)) {
+                to_stage(&found, gradient, at);
+            }
+            return;
+        }
+        for at in slots {
+            let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
+            let found = self.0.gradient(at.stage, &u, &|| of_stage(mu, at), &omega);
+            to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
+        }
     }
 
     fn to_space(&self, at: StageSlot, c: &[f64], x: &[f64], turned: &mut [f64]) {

@@ -72,12 +72,20 @@ pub(super) enum Velocity<'a> {
 pub(super) trait AtStage {
     /// Records that a sweep begins, or refuses it.
     fn begin_sweep(&self) -> Result<(), Failure>;
-    /// Computes dH/dg; c is U - I.
-    fn gradient(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
+    /// Computes dH/dg of the first `stages` stages, stored `stride` apart; c is U - I.
+    fn gradients(&self, stages: usize, stride: usize, at: StageValues<'_>, gradient: &mut [f64]);
     /// Computes `U X U^T`.
     fn to_space(&self, at: StageSlot, c: &[f64], x: &[f64], turned: &mut [f64]);
     /// Improves Omega. Returns its largest change and its size.
     fn velocity(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
+}
+
+/// Matrices of all stages: U - I, mu, Omega.
+#[derive(Clone, Copy)]
+pub(super) struct StageValues<'a> {
+    pub(super) c: &'a [f64],
+    pub(super) mu: &'a [f64],
+    pub(super) omega: &'a [f64],
 }
 
 /// Position of the matrix of a stage: entry e is number `e * stride + stage`.

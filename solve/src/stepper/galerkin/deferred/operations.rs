@@ -4,7 +4,7 @@
 
 use std::mem::swap;
 
-use super::{End, Forces, StageSlot, Step, Unknowns, Velocity};
+use super::{End, Forces, StageSlot, StageValues, Step, Unknowns, Velocity};
 use crate::failure::Failure;
 use crate::lanes::{Real, StageScalar, in_lanes};
 use crate::nonlinear::{SMALLEST_SIZE, relative};
@@ -27,9 +27,8 @@ impl<R: StageScalar<StepScalar = f64>, D: Dimension> Step<'_, R, D> {
                 torques.gradient(c, slopes, gradient);
             }
             Forces::Stages(system) => {
-                for stage in 0..self.coefficients.tableau.stages {
-                    system.gradient(StageSlot { stage, stride: R::LANES }, c, mu, omega, gradient);
-                }
+                let stages = self.coefficients.tableau.stages;
+                system.gradients(stages, R::LANES, StageValues { c, mu, omega }, gradient);
             }
         }
         Ok(())
