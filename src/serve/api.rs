@@ -219,6 +219,15 @@ fn routes() -> Vec<Route> {
         )
         .shared(),
         Route::new(
+            "/manifest",
+            Read,
+            op("getManifest", "The finished log of a job for Foxglove's remote data loader")
+                .query::<Uuid>("job", "The id of the job")
+                .required()
+                .json::<Value>(200, "Where the log is read"),
+            get(jobs::get_manifest),
+        ),
+        Route::new(
             "/studies",
             Submit,
             op("submitStudy", "Submit a study: many runs of one scene, one table")

@@ -31,6 +31,7 @@ struct Parameter {
     place: &'static str,
     name: &'static str,
     about: &'static str,
+    required: bool,
     schema: SchemaOf,
 }
 
@@ -59,7 +60,14 @@ impl Operation {
         name: &'static str,
         about: &'static str,
     ) -> Self {
-        self.parameters.push(Parameter { place, name, about, schema: schema_of::<T> });
+        let schema = schema_of::<T>;
+        self.parameters.push(Parameter { place, name, about, required: false, schema });
+        self
+    }
+
+    /// Says that the last parameter may not be absent.
+    pub(super) fn required(mut self) -> Self {
+        self.parameters.iter_mut().next_back().into_iter().for_each(|last| last.required = true);
         self
     }
 
@@ -116,9 +124,14 @@ impl Operation {
             })
             .collect();
         parameters.extend(self.parameters.iter().map(|parameter| {
-            let Parameter { place, name, about, schema } = parameter;
+            let Parameter { place, name, about, required, schema } = parameter;
             let schema = schema(generator);
-            json!({ "name": name, "in": place, "description": about, "schema": schema })
+            let mut shown =
+                json!({ "name": name, "in": place, "description": about, "schema": schema });
+            if *required {
+                shown["required"] = json!(true);
+            }
+            shown
         }));
         let mut answers = Map::new();
         for Answer { status, about, content } in &self.answers {

@@ -1,6 +1,7 @@
 //! Types of the answers.
 
 use chrono::{DateTime, Utc};
+use foxglove::remote_data_loader_backend::{DataSource, Manifest};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
@@ -90,6 +91,11 @@ impl Reach {
     fn pass(&self, subject: Subject) -> String {
         self.links.as_ref().map_or(String::new(), |links| format!("?{}", links.query(subject)))
     }
+
+    /// Returns the address of a finished log.
+    fn log(&self, id: Uuid) -> String {
+        format!("/jobs/{id}/log.mcap{}", self.pass(Subject::Log(id)))
+    }
 }
 
 /// Links of a job.
@@ -175,6 +181,13 @@ enum EventName {
     Progress,
 }
 
+/// Returns what Foxglove's remote data loader asks for, of a job with a finished log: where it is read, by ranges.
+pub(super) fn manifest(view: View, reach: &Reach) -> Manifest {
+    let supports_range_requests = Default::default();
+    let log = DataSource::StaticFile { url: reach.log(view.id), supports_range_requests };
+    Manifest { name: Some(view.name), sources: vec![log] }
+}
+
 /// A page of jobs.
 #[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct JobList {
@@ -226,8 +239,7 @@ impl JobView {
             .map(|record| (record.finished, record.summary, record.diagnosis))
             .unwrap_or_default();
         let will_have_log = has_log || !state.is_final();
-        let pass = reach.pass(Subject::Log(id));
-        let log = format!("/jobs/{id}/log.mcap{pass}");
+        let (pass, log) = (reach.pass(Subject::Log(id)), reach.log(id));
         let base = reach.base.as_deref();
         let viewers =
             base.filter(|_| has_log).map(|base| Viewers::of(base, &format!("{base}{log}")));

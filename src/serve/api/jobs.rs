@@ -9,6 +9,7 @@ use axum::extract::{Path, Query, Request, State as Shared};
 use axum::http::header::LOCATION;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use foxglove::remote_data_loader_backend::Manifest;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use uuid::Uuid;
@@ -29,7 +30,7 @@ use crate::serve::page::{
     MAX_MEMBERS, MAX_POINTS, MAX_STRETCH, MEMBERS, POINTS, STRETCH, angular_velocity,
 };
 use crate::serve::problem::Problem;
-use crate::serve::view::{JobList, JobView, Reach, percent_encoded};
+use crate::serve::view::{self, JobList, JobView, Reach, percent_encoded};
 use crate::serve::{download, follow, store};
 use crate::study::{Watch, scene_of};
 
@@ -218,6 +219,24 @@ pub(super) async fn get_log(
         return download::from_bucket(id, cluster.served(id).await?, request).await;
     }
     download::log(id, app.engine.log(id).await?, request).await
+}
+
+#[derive(Deserialize)]
+pub(super) struct ManifestQuery {
+    job: String,
+}
+
+/// Fields that it does not know it leaves to the loader.
+pub(super) async fn get_manifest(
+    Shared(app): Shared<App>,
+    reach: Reach,
+    query: Result<Query<ManifestQuery>, QueryRejection>,
+) -> Result<Json<Manifest>, Problem> {
+    let Query(ManifestQuery { job }) = query?;
+    let id = store::parse_id(&job).ok_or(Refusal::UnknownJob)?;
+    // Refused as the log itself is.
+    app.engine.log(id).await?;
+    Ok(Json(view::manifest(app.engine.get(id).await?, &reach)))
 }
 
 pub(super) async fn get_live(

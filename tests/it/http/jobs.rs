@@ -41,6 +41,52 @@ fn a_job_is_taken_runs_and_says_how_it_ended() {
     }
 }
 
+/// Foxglove's remote data loader: its types read the manifest, and the address there, relative to that of the manifest, is that of a
+/// log which answers ranges.
+#[test]
+fn a_remote_data_loader_finds_the_log_by_the_manifest() {
+    use foxglove::remote_data_loader_backend::{DataSource, Manifest};
+    let data = directory();
+    let token = "manifest-token-0123456789";
+    let server = service(&data).tokens(&format!("admin {token}\n")).workers(1).start();
+    let bearer = format!("Bearer {token}");
+    let ask = |path: &str, more: &[(&str, &str)]| {
+        let headers = [&[("authorization", bearer.as_str())], more].concat();
+        server.send("GET", path, &headers, None)
+    };
+    let submit = |scenario: &serde_json::Value| {
+        let headers = [("authorization", bearer.as_str()), ("content-type", "application/json")];
+        let body = scenario.to_string().into_bytes();
+        let answer = server.send("POST", "/jobs", &headers, Some(&body));
+        answer.json()["id"].as_str().expect("an id").to_owned()
+    };
+    let id = submit(&short());
+    until("the end", || {
+        (ask(&format!("/jobs/{id}"), &[]).json()["state"] == "succeeded").then_some(())
+    });
+    // As the loader asks: with fields of its own, too.
+    let answer = ask(&format!("/manifest?job={id}&viewer=1"), &[]);
+    assert_eq!((answer.status, answer.header("content-type")), (200, "application/json"));
+    let manifest: Manifest = serde_json::from_slice(&answer.body).expect("a manifest");
+    assert_eq!(manifest.name.as_deref(), Some("dipole"));
+    let [DataSource::StaticFile { url, .. }] = &manifest.sources[..] else {
+        panic!("{manifest:?}");
+    };
+    // The address is signed: the loader sends its own token to the manifest, not to the files.
+    let whole = server.get(url);
+    assert_whole_log(&whole.body);
+    let part = server.send("GET", url, &[("range", "bytes=8-99")], None);
+    assert_eq!((part.status, &part.body[..]), (206, &whole.body[8..100]));
+
+    server.get(&format!("/manifest?job={id}")).problem(401, "unauthorized");
+    ask("/manifest", &[]).problem(400, "bad_query");
+    for unknown in ["", "nothing", "01999999-9999-7999-8999-999999999999"] {
+        ask(&format!("/manifest?job={unknown}"), &[]).problem(404, "unknown_job");
+    }
+    let running = submit(&long());
+    ask(&format!("/manifest?job={running}"), &[]).problem(409, "log_unfinished");
+}
+
 #[test]
 fn a_scenario_is_given_back_as_it_was_sent() {
     let data = directory();
