@@ -41,7 +41,7 @@ mod dispatch;
 mod serial;
 mod simd;
 
-pub(crate) use dispatch::{extras, in_lanes, in_stage_lanes, widest};
+pub(crate) use dispatch::{extras, in_eight_stage_lanes, in_lanes, in_stage_lanes, widest};
 pub use serial::Rows;
 
 /// The most lanes that there are.
@@ -165,6 +165,15 @@ pub trait StageScalar: Stored {
     fn sum(self) -> Self::StepScalar;
     /// `sum_j columns[j] self_j`, summed by halves.
     fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self;
+    /// [`Self::apply_tableau`] of several numbers.
+    #[inline(always)]
+    fn apply_tableau_to<const K: usize>(x: [Self; K], columns: &[Row; WIDTH]) -> [Self; K] {
+        let mut sums = x;
+        for i in 0..K {
+            sums[i] = x[i].apply_tableau(columns);
+        }
+        sums
+    }
     /// Rows of constants.
     fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH];
     /// `sum_j columns[j] x_j`, summed by halves, x at the beginning of a slice.

@@ -63,6 +63,16 @@ impl StopRule {
     }
 }
 
+impl StopRule {
+    /// Does it go to rounding, by sweeps where these converge?
+    pub(crate) fn goes_to_rounding(&self) -> bool {
+        let default = Self::default();
+        self.tolerance <= default.tolerance
+            && self.max_iterations >= default.max_iterations
+            && self.rungs != Rungs::Newton
+    }
+}
+
 /// The rungs of the solver that may be tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rungs {

@@ -103,6 +103,31 @@ macro_rules! in_stage_lanes {
     };
 }
 
+/// Does the work on five to eight stages, like `in_stage_lanes`, for bodies that may be driven or have wheels.
+macro_rules! in_eight_stage_lanes {
+    ($level:expr, $body:expr, $module:ident::$work:ident, $($argument:expr),*) => {{
+        use $crate::lanes::extras::*;
+        let in_lanes = match ($level, $body.extras()) {
+            (Some(level), 0) => widest!(
+                level, f64x8, lanes => Some($module::$work::<_, 0>(lanes, $($argument),*)), else None
+            ),
+            (Some(level), USER) => widest!(
+                level below Avx512, f64x8,
+                lanes => Some($module::$work::<_, USER>(lanes, $($argument),*)), else None
+            ),
+            (Some(level), DRIVEN) => widest!(
+                level below Avx512, f64x8,
+                lanes => Some($module::$work::<_, DRIVEN>(lanes, $($argument),*)), else None
+            ),
+            _ => None,
+        };
+        match in_lanes {
+            Some(done) => done,
+            None => $module::$work::<_, { USER | DRIVEN }>(Rows([0.0; 8]), $($argument),*),
+        }
+    }};
+}
+
 /// Methods of a type with a method `lanes` whose bodies are compiled for the instruction set of these lanes, each once.
 macro_rules! in_lanes {
     ($($(#[$attribute:meta])* $visible:vis fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
@@ -117,4 +142,4 @@ macro_rules! in_lanes {
     };
 }
 
-pub(crate) use {in_lanes, in_stage_lanes, widest};
+pub(crate) use {in_eight_stage_lanes, in_lanes, in_stage_lanes, widest};

@@ -5,7 +5,7 @@ use fearless_simd::{Simd, f64x2, f64x4, f64x8, prelude::*};
 use super::{Real, Row, StageScalar, StepScalar, Stored, WIDTH};
 
 macro_rules! stage_lanes {
-    ($vector:ident, $lanes:tt, $group:literal, $repeated:expr, $folded:expr, $each:expr) => {
+    ($vector:ident, $lanes:tt, $group:literal, $repeated:expr, $folded:expr, $each:expr, $largest:expr) => {
         impl<S: Simd> Stored for $vector<S> {
             const LANES: usize = $lanes;
             type Wide = f64x8<S>;
@@ -121,6 +121,33 @@ macro_rules! stage_lanes {
             }
 
             #[inline(always)]
+            fn apply_tableau_to<const K: usize>(x: [Self; K], columns: &[Row; WIDTH]) -> [Self; K] {
+                let mut sums = x;
+                if $lanes < WIDTH {
+                    for i in 0..K {
+                        sums[i] = x[i].apply_tableau(columns);
+                    }
+                    return sums;
+                }
+                // All through memory at once, so that the columns are loaded once.
+                let mut values = [Row::splat(0.0); K];
+                for i in 0..K {
+                    x[i].store_slice(&mut values[i].0[..$lanes]);
+                }
+                let values = std::hint::black_box(&values);
+                let columns = x[0].rows(columns);
+                for i in 0..K {
+                    macro_rules! term {
+                        ($j:literal) => {
+                            columns[$j] * Self::splat(x[0].simd, values[i].0[$j])
+                        };
+                    }
+                    sums[i] = by_halves!($lanes, term);
+                }
+                sums
+            }
+
+            #[inline(always)]
             fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH] {
                 let mut lanes = [self; WIDTH];
                 for k in 0..WIDTH {
@@ -147,11 +174,8 @@ macro_rules! stage_lanes {
 
             #[inline(always)]
             fn largest(self) -> f64 {
-                let mut largest = self[0];
-                for k in 1..$lanes {
-                    largest = Real::max_or_nan(largest, self[k]);
-                }
-                largest
+                let [a, b] = $largest(self);
+                Real::max_or_nan(a, b)
             }
 
             #[inline(always)]
@@ -189,7 +213,8 @@ stage_lanes!(
         low + high
     },
     // With few lanes latency dominates, and a store and reload takes longer.
-    |x: Self| [x.zip_low(x), x.zip_high(x)]
+    |x: Self| [x.zip_low(x), x.zip_high(x)],
+    |x: Self| [x[0], x[1]]
 );
 stage_lanes!(
     f64x4,
@@ -209,6 +234,11 @@ stage_lanes!(
             both(high.zip_low(high)),
             both(high.zip_high(high)),
         ]
+    },
+    |x: Self| {
+        let (low, high) = x.split();
+        let two = Real::max_or_nan(low, high);
+        [two[0], two[1]]
     }
 );
 stage_lanes!(
@@ -229,6 +259,12 @@ stage_lanes!(
             each[k] = Self::splat(x.simd, values[k]);
         }
         each
+    },
+    |x: Self| {
+        let (low, high) = x.split();
+        let (low, high) = Real::max_or_nan(low, high).split();
+        let two = Real::max_or_nan(low, high);
+        [two[0], two[1]]
     }
 );
 

@@ -22,7 +22,7 @@ use super::{Clock, Stepper};
 use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, Drive, DriveInFrame, RigidBody, WorkAndImpulse};
-use crate::lanes::{Row, Rows, extras, in_stage_lanes, widest};
+use crate::lanes::{Row, Rows, extras, in_eight_stage_lanes, in_stage_lanes, widest};
 use crate::nonlinear::{
     Continued, Convergence, Equations, Rung, Rungs, SMALLEST_SIZE, Solver, StepHistory, StopRule,
 };
@@ -33,6 +33,7 @@ use crate::state::State;
 use crate::system::System;
 use crate::tableau::Tableau;
 
+mod body_frame;
 pub mod ensemble;
 pub(super) mod sweep;
 pub(super) mod unknowns;
@@ -228,6 +229,19 @@ impl VpdSo3 {
             momentum,
         };
         let (level, stages) = (*level, tableau.stages());
+        if plan.collocates && history.is_none() && solver.rule().goes_to_rounding() {
+            let done = in_eight_stage_lanes!(level, body, body_frame::solve, &start, unknowns);
+            body.count(u64::from(done.torques) * stages as u64);
+            (0..done.evaluations).try_for_each(|_| body.work().begin_sweep())?;
+            if done.is_solved {
+                if body.is_driven() {
+                    in_stage_lanes!(
+                        level, stages, body, sweep::work_and_impulse also DRIVEN, &start, unknowns
+                    );
+                }
+                return Ok(done.convergence());
+            }
+        }
         let mut equations = InLanes {
             level,
             stages,

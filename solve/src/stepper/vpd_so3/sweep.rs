@@ -90,7 +90,7 @@ pub(super) fn sweep_to_row<
 
 /// The velocity of a body momentum at the stages, `J^-1 (mu - wheels)`.
 #[inline(always)]
-fn velocity_of<R: StageScalar, const EXTRAS: u8>(
+pub(super) fn velocity_of<R: StageScalar, const EXTRAS: u8>(
     start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     inertia: &Inertia<R>,
     mu: &Vec3<R>,
@@ -105,7 +105,7 @@ fn velocity_of<R: StageScalar, const EXTRAS: u8>(
 
 /// The same where the step begins.
 #[inline(always)]
-fn velocity_at_start<T: StepScalar, const EXTRAS: u8>(
+pub(super) fn velocity_at_start<T: StepScalar, const EXTRAS: u8>(
     inertia: &Inertia<f64>,
     drive: &Drive,
     mu: &Vec3<T>,
@@ -215,7 +215,7 @@ pub(super) fn sweep<R: StageScalar, const EXTRAS: u8>(
     let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let stages = kinematics::<R, EXTRAS>(lanes, start, &momentum, unknowns, *kinematic);
     let u = with_one(&stages.c);
-    let end = end_point(lanes, &stages.w, unknowns);
+    let end = end_of_stages(lanes, &stages.w, unknowns);
     let forces = forces::<R, EXTRAS>(lanes, start, &u, &momentum, stages.weight, unknowns);
     let last = end_momentum(lanes, start, &end, &forces);
     let Kinematics { omega, weight, inverse_q, turned, .. } = &stages;
@@ -291,7 +291,7 @@ pub(super) fn finish<R: StageScalar, const EXTRAS: u8>(
     let mut momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let mut stages = kinematics::<R, EXTRAS>(lanes, start, &momentum, unknowns, 1);
     let u = with_one(&stages.c);
-    let end = end_point(lanes, &stages.w, unknowns);
+    let end = end_of_stages(lanes, &stages.w, unknowns);
     let forces = forces::<R, EXTRAS>(lanes, start, &u, &momentum, stages.weight, unknowns);
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     if R::STAGES > 2 && start.plan.tableau.stages >= RENEWED_STAGES {
@@ -312,7 +312,7 @@ pub(super) fn finish<R: StageScalar, const EXTRAS: u8>(
         stages.omega =
             plus(&velocity_of::<R, EXTRAS>(start, &inertia, &pi), &inertia.divides(&turned_by));
         let w = times_hat(&u, &scaled(&stages.omega, stages.weight));
-        end_point(lanes, &w, unknowns);
+        end_of_stages(lanes, &w, unknowns);
     }
     let Kinematics { c, omega, weight, .. } = &stages;
     let pi = plus(&p0, &momentum);
@@ -401,18 +401,18 @@ fn kinematics<R: StageScalar, const EXTRAS: u8>(
 }
 
 /// The end point, to which the stages lead.
-struct EndPoint<R: StageScalar> {
+pub(super) struct EndPoint<R: StageScalar> {
     /// f - I
-    change: Mat3<R::StepScalar>,
+    pub(super) change: Mat3<R::StepScalar>,
     /// P_e - I.
     stretch: Sym3<R::StepScalar>,
     /// Q(P_e)^-1 - I / 2.
-    inverse: Sym3<R::StepScalar>,
+    pub(super) inverse: Sym3<R::StepScalar>,
 }
 
 /// Computes the end point for the w of the stages.
 #[inline(always)]
-fn end_point<R: StageScalar>(
+pub(super) fn end_of_stages<R: StageScalar>(
     lanes: R,
     w: &Mat3<R>,
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
@@ -455,6 +455,22 @@ fn torque_at<R: StageScalar, const EXTRAS: u8>(
     let mu = transposed_product(u, pi);
     let omega = velocity_of::<R, EXTRAS>(start, &start.inertia.in_lanes(lanes), &mu);
     start.body.driven_torque(u, [&mu, &omega], start.drive, start.drive_seen, of_terms)
+}
+
+/// The same, given their body momenta.
+#[inline(always)]
+pub(super) fn torque_in_body<R: StageScalar, const EXTRAS: u8>(
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
+    u: &Mat3<R>,
+    inertia: &Inertia<R>,
+    mu: &Vec3<R>,
+) -> (Vec3<R>, R) {
+    let of_terms = start.body.torque::<R, EXTRAS>(u, start.seen);
+    if EXTRAS & DRIVEN == 0 {
+        return of_terms;
+    }
+    let omega = velocity_of::<R, EXTRAS>(start, inertia, mu);
+    start.body.driven_torque(u, [mu, &omega], start.drive, start.drive_seen, of_terms)
 }
 
 /// Brings what the body sees of its drive up to `attitude`, the quaternion at the beginning of the step; `blank` is anything.

@@ -70,6 +70,8 @@ pub(super) struct SweepPlan {
     pub(super) is_finished: bool,
     /// Sweeps of plain collocation in the first guess.
     pub(super) guess_sweeps: u32,
+    /// Is a step tried in the body frame first? See [`super::body_frame`].
+    pub(super) collocates: bool,
 }
 
 impl SweepPlan {
@@ -84,6 +86,7 @@ impl SweepPlan {
             present,
             passes: Passes::of_stages(stages),
             is_finished: stages >= FINISHED_STAGES,
+            collocates: !few && tableau.is_symplectic(),
             guess_sweeps: if few { stages as u32 - 1 } else { stages as u32 + 2 },
         })
     }
