@@ -42,7 +42,7 @@ mod forces;
 mod motion;
 
 use forces::{Configuration, Forces};
-pub use motion::{BodiesState, Start};
+pub use motion::{BodiesState, Change, Start};
 
 /// Distance of two points between which a force without a limit acts, in metres, below which it means nothing.
 pub const CLOSEST_APPROACH_M: f64 = 1e-8;
@@ -308,13 +308,7 @@ impl<const N: usize> Bodies<N> {
         velocities: &mut [Mat<N>],
     ) -> Result<(), Failure> {
         for (a, momentum) in momenta.iter().enumerate() {
-            velocities[a] = match &self.inverses[a] {
-                Inverse::Weights(weights) => momentum.component_mul(weights),
-                Inverse::Full(inverse) => {
-                    let momentum = DVector::from_iterator(so::dimension(N), coordinates(momentum));
-                    of_coordinates((inverse * momentum).as_slice())
-                }
-            };
+            velocities[a] = self.velocity_alone(a, momentum);
         }
         let mut room = Vec::new();
         for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
@@ -334,6 +328,17 @@ impl<const N: usize> Bodies<N> {
             }
         }
         Ok(())
+    }
+
+    /// `J^-1 mu` of a body by itself: its velocity, if no joint couples that to those of others.
+    fn velocity_alone(&self, body: usize, momentum: &Mat<N>) -> Mat<N> {
+        match &self.inverses[body] {
+            Inverse::Weights(weights) => momentum.component_mul(weights),
+            Inverse::Full(inverse) => {
+                let momentum = DVector::from_iterator(so::dimension(N), coordinates(momentum));
+                of_coordinates((inverse * momentum).as_slice())
+            }
+        }
     }
 
     /// Returns the momenta of bodies that turn at these velocities.

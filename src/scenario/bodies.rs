@@ -271,7 +271,6 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(wheels.is_some(), "/scene/wheels", only_one)?;
     absent(control.is_some(), "/scene/control", only_one)?;
     absent(field.is_some(), "/scene/field", only_one)?;
-    absent(scenario.ensemble.is_some(), "/ensemble", only_one)?;
     absent(!scenario.until.is_empty(), "/until", only_one)?;
     absent(scenario.pointing.is_some(), "/pointing", only_one)?;
     absent(scenario.derivatives.is_some(), "/derivatives", only_one)?;
@@ -313,6 +312,12 @@ impl Bodies {
     /// Returns the number of the body with a name.
     pub fn number(&self, name: &str) -> Option<usize> {
         self.bodies.iter().position(|body| body.name == name)
+    }
+
+    /// Returns the bodies that move freely.
+    pub fn free(&self) -> impl Iterator<Item = &Body> {
+        let is_held = |body: &Body| self.joints.iter().any(|joint| joint.between[1] == body.name);
+        self.bodies.iter().filter(move |body| body.pivot.is_none() && !is_held(body))
     }
 
     /// Returns for each body the number of the joint that holds it at its parent.

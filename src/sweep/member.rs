@@ -153,7 +153,7 @@ impl BodiesTask for Member<'_> {
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Option<Outcome> {
         let Self { plan, stop, .. } = self;
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let BodiesAssembly { bodies, mut stepper, initial, .. } = assembly;
         let bodies = bodies.watched(Work::limited(u64::MAX, stop.clone()));
         let figures = Figures::default();
         let mut seen = SeveralSeen { figures, until_checkpoint: plan.samples_per_chunk, plan };

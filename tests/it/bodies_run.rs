@@ -11,17 +11,17 @@ use vpd::scenario::Scenario;
 use vpd::study::Watch;
 use vpd::verify;
 
-fn shipped(name: &str) -> Value {
+pub(crate) fn shipped(name: &str) -> Value {
     let text = fs::read_to_string(format!("scenarios/{name}.json")).expect("shipped");
     serde_json::from_str(&text).expect("JSON")
 }
 
-fn plan(scenario: &Value) -> Plan {
+pub(crate) fn plan(scenario: &Value) -> Plan {
     let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario");
     advise::plan(&scenario).expect("a plan")
 }
 
-fn run(scenario: &Value, log: &Path) -> Summary {
+pub(crate) fn run(scenario: &Value, log: &Path) -> Summary {
     let control = Control::default();
     execute(&plan(scenario), &JobContext { log, control: &control }).expect("a log")
 }

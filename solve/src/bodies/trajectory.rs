@@ -10,7 +10,7 @@ use crate::lanes::Real;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
 use crate::system::{Energy, free_directions};
-pub use crate::trajectory::Ending;
+pub use crate::trajectory::{Ending, Schedule};
 
 /// A scheme for several bodies.
 pub trait BodiesStepper<const N: usize>: Send {
@@ -362,52 +362,161 @@ pub fn integrate<const N: usize, S: Sink<N>>(
 ) -> Result<Trajectory, S::Error> {
     let Course { initial, checkpoint, step_s, steps, every } = course;
     let every = every.max(1);
-    let observer = Observer::new(bodies, initial);
-    let mut reached = checkpoint.cloned().unwrap_or_default();
+    let mut bookkeeping = Bookkeeping::new(bodies, initial, step_s);
     let begun = checkpoint.and_then(|found| initial.with_numbers(&found.numbers));
     stepper.start(begun.as_ref().unwrap_or(initial));
-    let mut sampled = (reached.samples > 0).then_some(reached.step);
-    let mut ending = Ending::Completed;
+    if let Some(found) = checkpoint {
+        bookkeeping.resume(found);
+    }
     loop {
-        let step = reached.step;
-        let over = step == steps || ending != Ending::Completed;
-        if (over || step % every == 0) && sampled != Some(step) {
-            let state = stepper.state();
-            let at = (step, step as f64 * step_s);
-            match observer.sample(bodies, &state, at, reached.convergence) {
-                Ok(sample) => {
-                    reached.samples += 1;
-                    reached.numbers = state.numbers();
-                    sampled = Some(step);
-                    sink.record(&sample)?;
-                }
-                // What was reached is good up to the sample before.
-                Err(failure) => {
-                    ending = Ending::Failed(failure);
-                    break;
-                }
-            }
+        let step = bookkeeping.reached.step;
+        let over = step == steps || !bookkeeping.goes_on();
+        if (over || step.is_multiple_of(every))
+            && let Some(sample) = bookkeeping.sample(bodies, stepper)
+        {
+            sink.record(&sample)?;
             if !over && sink.wants_checkpoint() {
-                sink.checkpoint(&reached)?;
+                sink.checkpoint(&bookkeeping.reached)?;
+                let state = stepper.state();
                 stepper.start(&state);
             }
         }
-        if over || ending != Ending::Completed {
+        if over || !bookkeeping.goes_on() {
             break;
         }
-        if !go_on(step) {
-            ending = Ending::Cancelled;
-            continue;
-        }
-        match stepper.step(bodies, step_s) {
-            Ok(solved) => {
-                reached.convergence = Some(solved);
-                reached.iterations += u64::from(solved.iterations);
-                reached.step += 1;
-            }
-            Err(Failure { code: FailureCode::Stopped, .. }) => ending = Ending::Cancelled,
-            Err(failure) => ending = Ending::Failed(failure),
+        if go_on(step) {
+            bookkeeping.stepped(stepper.step(bodies, step_s));
+        } else {
+            bookkeeping.ending = Ending::Cancelled;
         }
     }
-    Ok(Trajectory { ending, reached })
+    Ok(bookkeeping.end())
+}
+
+/// Carries members of an ensemble forward, each by a stepper of its own, and gives the samples to `record` with the number of
+/// their member; those of a time in the order of the members. `go_on(steps_done)` is asked before each step.
+///
+/// # Errors
+/// Those of `record`. A step that fails is not an error but an [`Ending`] of its member.
+///
+/// # Panics
+/// If there are fewer steppers than starts.
+pub fn integrate_members<const N: usize, E>(
+    bodies: &Bodies<N>,
+    steppers: &mut [Box<dyn BodiesStepper<N>>],
+    starts: &[BodiesState<N>],
+    schedule: Schedule,
+    mut record: impl FnMut(usize, &Sample<N>) -> Result<(), E>,
+    mut go_on: impl FnMut(u64) -> bool,
+) -> Result<Vec<Trajectory>, E> {
+    let Schedule { step_s, steps, every } = schedule;
+    let every = every.max(1);
+    assert!(steppers.len() >= starts.len(), "a stepper for each member");
+    steppers.iter_mut().zip(starts).for_each(|(stepper, start)| stepper.start(start));
+    let mut members: Vec<Bookkeeping<N>> =
+        starts.iter().map(|start| Bookkeeping::new(bodies, start, step_s)).collect();
+    for step in 0..=steps {
+        let is_over = step == steps;
+        let goes_on = is_over || go_on(step);
+        let mut is_anyone_left = false;
+        for (m, (member, stepper)) in members.iter_mut().zip(steppers.iter_mut()).enumerate() {
+            if !member.goes_on() {
+                continue;
+            }
+            if !goes_on {
+                member.ending = Ending::Cancelled;
+            }
+            if (is_over || !goes_on || step.is_multiple_of(every))
+                && let Some(sample) = member.sample(bodies, stepper.as_ref())
+            {
+                record(m, &sample)?;
+            }
+        }
+        if is_over {
+            break;
+        }
+        for (m, (member, stepper)) in members.iter_mut().zip(steppers.iter_mut()).enumerate() {
+            if !member.goes_on() {
+                continue;
+            }
+            member.stepped(stepper.step(bodies, step_s));
+            if member.goes_on() {
+                is_anyone_left = true;
+            } else if let Some(sample) = member.sample(bodies, stepper.as_ref()) {
+                record(m, &sample)?;
+            }
+        }
+        if !is_anyone_left {
+            break;
+        }
+    }
+    Ok(members.into_iter().map(Bookkeeping::end).collect())
+}
+
+/// The progress record of one trajectory: how far it came, and its samples.
+struct Bookkeeping<const N: usize> {
+    observer: Observer<N>,
+    step_s: f64,
+    ending: Ending,
+    /// Steps and sweeps are those made, the numbers those of the last sample.
+    reached: Checkpoint,
+    /// The step of the last sample.
+    sampled: Option<u64>,
+}
+
+impl<const N: usize> Bookkeeping<N> {
+    fn new(bodies: &Bodies<N>, initial: &BodiesState<N>, step_s: f64) -> Self {
+        let observer = Observer::new(bodies, initial);
+        let (ending, reached) = (Ending::Completed, Checkpoint::default());
+        Self { observer, step_s, ending, reached, sampled: None }
+    }
+
+    fn resume(&mut self, found: &Checkpoint) {
+        self.reached = found.clone();
+        self.sampled = (found.samples > 0).then_some(found.step);
+    }
+
+    fn goes_on(&self) -> bool {
+        self.ending == Ending::Completed
+    }
+
+    /// Takes note of a step that was tried.
+    fn stepped(&mut self, result: Result<Convergence, Failure>) {
+        match result {
+            Ok(solved) => {
+                self.reached.convergence = Some(solved);
+                self.reached.iterations += u64::from(solved.iterations);
+                self.reached.step += 1;
+            }
+            Err(Failure { code: FailureCode::Stopped, .. }) => self.ending = Ending::Cancelled,
+            Err(failure) => self.ending = Ending::Failed(failure),
+        }
+    }
+
+    /// Takes the sample of the state that was reached, unless there was one. A sample that cannot be taken ends the trajectory:
+    /// what was reached is good up to the sample before.
+    fn sample(&mut self, bodies: &Bodies<N>, stepper: &dyn BodiesStepper<N>) -> Option<Sample<N>> {
+        let Self { observer, step_s, ending, reached, sampled } = self;
+        let step = reached.step;
+        if *sampled == Some(step) {
+            return None;
+        }
+        let state = stepper.state();
+        match observer.sample(bodies, &state, (step, step as f64 * *step_s), reached.convergence) {
+            Ok(sample) => {
+                reached.samples += 1;
+                reached.numbers = state.numbers();
+                *sampled = Some(step);
+                Some(sample)
+            }
+            Err(failure) => {
+                *ending = Ending::Failed(failure);
+                None
+            }
+        }
+    }
+
+    fn end(self) -> Trajectory {
+        Trajectory { ending: self.ending, reached: self.reached }
+    }
 }
