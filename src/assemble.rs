@@ -173,7 +173,7 @@ pub(crate) trait BodiesTask {
 pub(crate) fn assembled_bodies<T: BodiesTask>(plan: &Plan, task: T) -> T::Output {
     fn perform<const N: usize, T: BodiesTask>(plan: &Plan, task: T) -> T::Output {
         let scene = plan.settled.bodies().expect("a plan of several bodies");
-        let (bodies, initial) = system::<N>(scene).expect("the plan made them");
+        let (bodies, initial) = system::<N>(&plan.settled, scene).expect("the plan made them");
         let stepper = || {
             bodies_stepper(plan, &bodies, &initial)
                 .expect("the plan refuses a method that cannot run the scene")

@@ -40,9 +40,11 @@ mod block;
 mod coefficients;
 mod forces;
 mod motion;
+mod stop;
 
 use forces::{Configuration, Forces};
 pub use motion::{BodiesState, Change, Start};
+pub use stop::{BodiesCondition, BodiesStop, distance};
 
 /// Distance of two points between which a force without a limit acts, in metres, below which it means nothing.
 pub const CLOSEST_APPROACH_M: f64 = 1e-8;
@@ -197,6 +199,7 @@ pub struct Bodies<const N: usize> {
     /// Places of the trees that are fixed; zero for the others.
     fixed: Vec<Vector<N>>,
     interactions: Vec<Interaction<N>>,
+    stops: Vec<BodiesStop<N>>,
     work: Work,
 }
 
@@ -243,7 +246,8 @@ impl<const N: usize> Bodies<N> {
                 tree
             })
             .collect();
-        Ok(Self { bodies, inverses, trees, tree_of, fixed, interactions, work: Work::default() })
+        let (stops, work) = (Vec::new(), Work::default());
+        Ok(Self { bodies, inverses, trees, tree_of, fixed, interactions, stops, work })
     }
 
     /// Returns the same system, which counts its work there, and ends where that says.

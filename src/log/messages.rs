@@ -534,7 +534,8 @@ impl Checkpoint {
 
     /// Returns the place of a trajectory of several bodies, and the figures of its samples so far.
     pub fn of_bodies(checkpoint: &bodies::Checkpoint, figures: Figures) -> Self {
-        let bodies::Checkpoint { step, samples, iterations, convergence, numbers } = checkpoint;
+        let bodies::Checkpoint { step, samples, iterations, convergence, numbers, holds_since_s } =
+            checkpoint;
         Self {
             step: *step,
             samples: *samples,
@@ -542,6 +543,7 @@ impl Checkpoint {
             solver: convergence.map(Into::into),
             figures: Some(figures),
             numbers: numbers.clone(),
+            held: holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
             ..Self::default()
         }
     }
@@ -560,6 +562,7 @@ impl Checkpoint {
             iterations: self.iterations,
             convergence: self.solver.as_ref().and_then(Solver::convergence),
             numbers: self.numbers.clone(),
+            holds_since_s: self.held.iter().map(|held| held.since_s).collect(),
         })
     }
 

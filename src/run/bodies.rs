@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Tried};
 use super::{
     Asked, End, Ensemble, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary,
-    finish, header, note_errors, outcome,
+    finish, header, note_errors, outcome, stopped,
 };
 use crate::assemble::{BodiesAssembly, BodiesTask};
 use crate::log::LogError;
@@ -18,7 +18,7 @@ use crate::log::schema::BodyName;
 use crate::plan::Plan;
 use crate::scenario::{SMALLEST_STEP_S, Scenario};
 use crate::solve::bodies::trajectory::{
-    self, BodiesStepper, BodySample, Checkpoint, Course, Sample, Sink, Trajectory,
+    self, BodiesStepper, BodySample, Checkpoint, Course, Ending, Sample, Sink, Trajectory,
 };
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::failure::{Failure, two_digits};
@@ -59,7 +59,7 @@ impl BodiesTask for BodiesRun<'_> {
             control.go_on(steps)
         });
         let Several { recorder, .. } = sink;
-        let Trajectory { ending, reached } = match end {
+        let Trajectory { ending, reached, time_s } = match end {
             Ok(end) => end,
             Err(error) => return Err(recorder.keep.left(error)),
         };
@@ -76,12 +76,16 @@ impl BodiesTask for BodiesRun<'_> {
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let energy = energy_at_the_ends(&bodies, &initial, &last);
         let reached = Reached::of_bodies(&reached, final_state(plan, &bodies, &last));
+        let stopped = match ending {
+            Ending::Stopped(number) => stopped(plan, number, time_s),
+            _ => None,
+        };
         let end = End {
             outcome,
             reached,
-            ends_s: None,
+            ends_s: Some(time_s),
             diagnosis,
-            stopped: None,
+            stopped,
             ensemble: None,
             energy,
         };

@@ -14,8 +14,8 @@ use super::range::{
     strength,
 };
 use super::{
-    Attitude, Framed, Inertia, Initial, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
-    Scene, SolverKind, Steps,
+    Attitude, DistanceLimit, Framed, Inertia, Initial, Method, MethodName, PotentialTerm, Scenario,
+    ScenarioError, Scene, SolverKind, Steps, Stop,
 };
 use crate::log::schema::BodyName;
 use crate::method::Integrator;
@@ -271,7 +271,6 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(wheels.is_some(), "/scene/wheels", only_one)?;
     absent(control.is_some(), "/scene/control", only_one)?;
     absent(field.is_some(), "/scene/field", only_one)?;
-    absent(!scenario.until.is_empty(), "/until", only_one)?;
     absent(scenario.pointing.is_some(), "/pointing", only_one)?;
     absent(scenario.derivatives.is_some(), "/derivatives", only_one)?;
     let adaptive = matches!(scenario.step, Some(Steps::Adaptive(_)));
@@ -393,6 +392,52 @@ impl Bodies {
             let message = format!("`{name}` given, but no body has that name{near}");
             ScenarioError::invalid(pointer, message)
         })
+    }
+
+    /// Checks a condition that ends the run, but for its limits of one body.
+    pub(super) fn check_stop(&self, at: &str, stop: &Stop, n: usize) -> Check {
+        ensure(
+            stop.pointing_error_below_rad.is_none(),
+            format!("{at}/pointing_error_below_rad"),
+            || "is for scenes of one body, whose control has a target".to_owned(),
+        )?;
+        let of_one = stop.rate_below_rad_s.is_some() || stop.angle_above_rad.is_some();
+        let pointer = format!("{at}/body");
+        match &stop.body {
+            Some(body) => {
+                ensure(of_one, &pointer, || {
+                    "is given, but the condition is not that of one body".to_owned()
+                })?;
+                self.known(&pointer, body)?;
+            }
+            None => ensure(!of_one, at, || {
+                "missing field `body`, the name of that whose condition it is".to_owned()
+            })?,
+        }
+        let limits = [
+            ("distance_below_m", &stop.distance_below_m),
+            ("distance_above_m", &stop.distance_above_m),
+        ];
+        for (field, limit) in limits {
+            let Some(DistanceLimit { distance_m, between, points: given }) = limit else {
+                continue;
+            };
+            let at = format!("{at}/{field}");
+            for (i, name) in between.iter().enumerate().filter(|(_, name)| *name != SPACE) {
+                self.known(&format!("{at}/between/{i}"), name)?;
+            }
+            Self::different(&at, between)?;
+            if let Some(given) = given {
+                points(&at, given, n)?;
+            }
+            let pointer = format!("{at}/distance_m");
+            number(&pointer, *distance_m)?;
+            size(&pointer, [distance_m])?;
+            ensure(*distance_m > 0.0, pointer, || {
+                format!("{distance_m:?} given, a distance above 0 is needed")
+            })?;
+        }
+        Ok(())
     }
 
     fn different(at: &str, between: &[String; 2]) -> Check {

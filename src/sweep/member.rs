@@ -161,7 +161,7 @@ impl BodiesTask for Member<'_> {
         let way = of_bodies::Course { initial: &initial, checkpoint: None, step_s, steps, every };
         let go_on = |_| !stop.load(Ordering::Relaxed);
         let end = of_bodies::integrate(&bodies, stepper.as_mut(), way, &mut seen, go_on);
-        let Ok(of_bodies::Trajectory { ending, reached }) = end;
+        let Ok(of_bodies::Trajectory { ending, reached, time_s }) = end;
         let last = initial.with_numbers(&reached.numbers).unwrap_or(initial);
         let of_body = |body: of_bodies::BodySample<N>| {
             let turned = entries(&body.attitude).into_iter().chain(so::vee(&body.momentum));
@@ -170,7 +170,7 @@ impl BodiesTask for Member<'_> {
             turned.chain(moved).map(Some).collect::<Vec<_>>()
         };
         let row = Row {
-            time_s: reached.step as f64 * step_s,
+            time_s,
             state: bodies.seen(&last).unwrap_or_default().into_iter().flat_map(of_body).collect(),
             figures: seen.figures,
             scores: Vec::new(),

@@ -424,3 +424,37 @@ fn an_accuracy_is_kept_by_every_member() {
         }
     }
 }
+
+/// Members end where their own condition holds, and the log says which.
+#[test]
+fn members_stop_where_their_own_condition_holds() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (log, cut) = (folder.path().join("tether.mcap"), folder.path().join("cut.mcap"));
+    let spread = json!({
+        "members": 30, "position_spread_m": 0.02, "velocity_spread_m_s": 0.02, "in_full": [3, 4],
+    });
+    // In two seconds the tether pulls about half of them so near.
+    let mut scenario = of_members("tether", 20, &spread);
+    let limit = json!({ "distance_m": 4.82, "between": ["primary", "secondary"] });
+    scenario["until"] = json!([{ "distance_below_m": limit, "exact": true }]);
+    let summary = run(&scenario, &log);
+    let ends = summary.ensemble.as_ref().expect("of an ensemble");
+    let members = contents(&log).members;
+    let stopped: Vec<&Member> = members.values().filter(|end| end.stopped_by == Some(0)).collect();
+    assert_eq!(ends.stopped.get("/until/0").copied(), Some(stopped.len() as u64));
+    assert!(stopped.len() > 3 && stopped.len() < 30, "{}", stopped.len());
+    for end in stopped {
+        let [one, other] = [0, 1].map(|body| &last(end, body).position);
+        let squares = one.iter().zip(other).map(|(a, b)| (a - b) * (a - b));
+        let distance = squares.sum::<f64>().sqrt();
+        assert!((4.82 - 1e-8..4.82).contains(&distance), "{distance}");
+        let in_steps = last(end, 0).time_s / 0.1;
+        assert!((in_steps - in_steps.round()).abs() > 1e-9, "{in_steps}");
+    }
+    let bytes = fs::read(&log).expect("a log");
+    fs::write(part_path(&cut), &bytes[..bytes.len() * 9 / 10]).expect("written");
+    run(&scenario, &cut);
+    assert!(fs::read(&cut).expect("a log") == bytes);
+    let verified = verify::verify(&log).expect("a run again");
+    assert!(verified.same, "{verified:?}");
+}

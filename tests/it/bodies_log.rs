@@ -96,6 +96,7 @@ fn checkpoint(k: u64) -> Checkpoint {
         iterations: 5 * k,
         convergence: sample::<3>(k, 1.0).convergence,
         numbers: vec![k as f64, -0.0, 1.0 / 3.0],
+        holds_since_s: Vec::new(),
     }
 }
 

@@ -4,11 +4,12 @@
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of time; at a checkpoint the
 //! stepper starts anew from what the checkpoint holds.
 
-use super::{Bodies, BodiesState, Configuration, Forces};
+use super::{Bodies, BodiesCondition, BodiesState, Configuration, Forces};
 use crate::failure::{Failure, FailureCode};
 use crate::lanes::Real;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::stop;
 use crate::system::{Energy, free_directions};
 pub use crate::trajectory::{Ending, Schedule};
 
@@ -127,6 +128,8 @@ pub struct Checkpoint {
     pub convergence: Option<Convergence>,
     /// The state, see [`BodiesState::numbers`].
     pub numbers: Vec<f64>,
+    /// Since when each of [`Bodies::stops`] has held, in s; `None` where it does not.
+    pub holds_since_s: Vec<Option<f64>>,
 }
 
 /// Destination of samples.
@@ -170,6 +173,8 @@ pub struct Trajectory {
     pub ending: Ending,
     /// Where it ended.
     pub reached: Checkpoint,
+    /// When, in s: at the end of a step, unless a condition stopped it within.
+    pub time_s: f64,
 }
 
 /// Computes samples against a start.
@@ -385,7 +390,7 @@ pub fn integrate<const N: usize, S: Sink<N>>(
             break;
         }
         if go_on(step) {
-            bookkeeping.stepped(stepper.step(bodies, step_s));
+            bookkeeping.step(bodies, stepper);
         } else {
             bookkeeping.ending = Ending::Cancelled;
         }
@@ -439,7 +444,7 @@ pub fn integrate_members<const N: usize, E>(
             if !member.goes_on() {
                 continue;
             }
-            member.stepped(stepper.step(bodies, step_s));
+            member.step(bodies, stepper.as_mut());
             if member.goes_on() {
                 is_anyone_left = true;
             } else if let Some(sample) = member.sample(bodies, stepper.as_ref()) {
@@ -462,13 +467,15 @@ struct Bookkeeping<const N: usize> {
     reached: Checkpoint,
     /// The step of the last sample.
     sampled: Option<u64>,
+    /// The time at which a condition stopped the last step within, in s.
+    ends_s: Option<f64>,
 }
 
 impl<const N: usize> Bookkeeping<N> {
     fn new(bodies: &Bodies<N>, initial: &BodiesState<N>, step_s: f64) -> Self {
         let observer = Observer::new(bodies, initial);
         let (ending, reached) = (Ending::Completed, Checkpoint::default());
-        Self { observer, step_s, ending, reached, sampled: None }
+        Self { observer, step_s, ending, reached, sampled: None, ends_s: None }
     }
 
     fn resume(&mut self, found: &Checkpoint) {
@@ -478,6 +485,104 @@ impl<const N: usize> Bookkeeping<N> {
 
     fn goes_on(&self) -> bool {
         self.ending == Ending::Completed
+    }
+
+    /// Makes a step, or a part of one where a condition ends the run within.
+    fn step(&mut self, bodies: &Bodies<N>, stepper: &mut dyn BodiesStepper<N>) {
+        let is_located = bodies.stops().iter().any(|stop| stop.exact);
+        let begun = is_located.then(|| (stepper.state(), self.reached.clone()));
+        self.stepped(stepper.step(bodies, self.step_s));
+        self.look_for_a_stop(bodies, stepper);
+        if let Some((state, reached)) = begun {
+            self.end_within(bodies, stepper, &state, reached);
+        }
+    }
+
+    /// Returns the margin of a condition at the state that a stepper holds: see [`BodiesCondition::margin`]. Where nothing can be
+    /// seen, it does not hold.
+    fn margin(
+        &self,
+        condition: &BodiesCondition<N>,
+        bodies: &Bodies<N>,
+        stepper: &dyn BodiesStepper<N>,
+        time_s: f64,
+    ) -> f64 {
+        let state = stepper.state();
+        let Some(seen) = bodies.seen(&state) else { return -1.0 };
+        condition.margin(time_s, &seen, || {
+            bodies.energy(&state, &seen).total() - self.observer.initial_energy
+        })
+    }
+
+    /// Ends the trajectory after a step if one of the conditions has held for as long as it asks.
+    fn look_for_a_stop(&mut self, bodies: &Bodies<N>, stepper: &dyn BodiesStepper<N>) {
+        let stops = bodies.stops();
+        if stops.is_empty() || !self.goes_on() {
+            return;
+        }
+        let time_s = self.reached.step as f64 * self.step_s;
+        self.reached.holds_since_s.resize(stops.len(), None);
+        for (number, stop) in stops.iter().enumerate() {
+            let holds = self.margin(&stop.condition, bodies, stepper, time_s) > 0.0;
+            let since_s = &mut self.reached.holds_since_s[number];
+            if stop::is_over(since_s, holds, time_s, stop.for_s) && self.goes_on() {
+                self.ending = Ending::Stopped(number);
+            }
+        }
+    }
+
+    /// Ends a trajectory that a condition has stopped after a step within this step, where the first of the conditions that are
+    /// located came to hold: by the scheme's own map over a part of the step, from the state in which that began.
+    fn end_within(
+        &mut self,
+        bodies: &Bodies<N>,
+        stepper: &mut dyn BodiesStepper<N>,
+        begun: &BodiesState<N>,
+        reached: Checkpoint,
+    ) {
+        let Ending::Stopped(after_step) = self.ending else { return };
+        let found = self.reached.holds_since_s.iter().zip(bodies.stops()).enumerate();
+        let located: Vec<usize> = found
+            .filter(|(_, (since, stop))| since.is_some() && stop.exact && stop.for_s == 0.0)
+            .map(|(number, _)| number)
+            .collect();
+        if located.is_empty() {
+            return;
+        }
+        let held = std::mem::replace(&mut self.reached, reached).holds_since_s;
+        let begun_s = self.reached.step as f64 * self.step_s;
+        let mut first = (self.step_s, after_step);
+        for number in located {
+            let condition = &bodies.stops()[number].condition;
+            stepper.start(begun);
+            // One that holds from the beginning ends the run after the step.
+            if self.margin(condition, bodies, stepper, begun_s) > 0.0 {
+                continue;
+            }
+            let part_s = stop::located(self.step_s, |part_s| {
+                stepper.start(begun);
+                stepper.step(bodies, part_s)?;
+                Ok(self.margin(condition, bodies, stepper, begun_s + part_s) > 0.0)
+            });
+            match part_s {
+                Ok(part_s) if part_s < first.0 => first = (part_s, number),
+                Ok(_) => {}
+                Err(failure) => return self.stepped(Err(failure)),
+            }
+        }
+        let (part_s, number) = first;
+        stepper.start(begun);
+        self.stepped(stepper.step(bodies, part_s));
+        if matches!(self.ending, Ending::Stopped(_)) {
+            self.reached.holds_since_s = held;
+            self.ending = Ending::Stopped(number);
+            self.ends_s = (part_s < self.step_s).then_some(begun_s + part_s);
+        }
+    }
+
+    /// The time of the state that was reached, in s.
+    fn time_s(&self) -> f64 {
+        self.ends_s.unwrap_or(self.reached.step as f64 * self.step_s)
     }
 
     /// Takes note of a step that was tried.
@@ -496,13 +601,14 @@ impl<const N: usize> Bookkeeping<N> {
     /// Takes the sample of the state that was reached, unless there was one. A sample that cannot be taken ends the trajectory:
     /// what was reached is good up to the sample before.
     fn sample(&mut self, bodies: &Bodies<N>, stepper: &dyn BodiesStepper<N>) -> Option<Sample<N>> {
-        let Self { observer, step_s, ending, reached, sampled } = self;
+        let time_s = self.time_s();
+        let Self { observer, ending, reached, sampled, .. } = self;
         let step = reached.step;
         if *sampled == Some(step) {
             return None;
         }
         let state = stepper.state();
-        match observer.sample(bodies, &state, (step, step as f64 * *step_s), reached.convergence) {
+        match observer.sample(bodies, &state, (step, time_s), reached.convergence) {
             Ok(sample) => {
                 reached.samples += 1;
                 reached.numbers = state.numbers();
@@ -517,6 +623,6 @@ impl<const N: usize> Bookkeeping<N> {
     }
 
     fn end(self) -> Trajectory {
-        Trajectory { ending: self.ending, reached: self.reached }
+        Trajectory { time_s: self.time_s(), ending: self.ending, reached: self.reached }
     }
 }

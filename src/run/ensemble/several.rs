@@ -140,6 +140,10 @@ fn travel<const N: usize, E>(
             solver: convergence.map(Into::into),
             diagnosis,
             way: Some(way),
+            stopped_by: match end.ending {
+                Ending::Stopped(number) => u32::try_from(number).ok(),
+                _ => None,
+            },
             bodies: bodies.collect(),
             ..messages::Member::default()
         }

@@ -92,7 +92,7 @@ impl BodiesTask for Measurement<'_> {
         let end = trajectory::integrate(&bodies, stepper.as_mut(), way, &mut gauge, |_| {
             !blown.get() && !watch.is_cancelled()
         });
-        let Ok(Trajectory { ending, reached }) = end;
+        let Ok(Trajectory { ending, reached, .. }) = end;
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let seen = bodies.seen(&last).unwrap_or_default();
         let Gauge { points, series, fastest, kinetic, sizes, pushes, .. } = gauge;
