@@ -10,8 +10,8 @@ use super::{ChannelPlan, Counts, FirstSteps, Formulation, Model, Plan, TermPlan,
 use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
-    Bodies, DistanceLimit, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, SPACE,
-    Scenario, ScenarioError, Solver, Stop,
+    Bodies, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, SPACE, Scenario,
+    ScenarioError, Solver, Stop,
 };
 use crate::solve::bodies::apart::BodiesApart;
 use crate::solve::bodies::{self, BodiesCondition, BodiesState, BodiesStop, Hold, Site, Start};
@@ -133,10 +133,12 @@ fn stops<const N: usize>(
                 BodiesCondition::Of(body, Condition::RateBelow(*rate))
             }
             Stop { distance_below_m: Some(limit), .. } => {
-                BodiesCondition::DistanceBelow(sites(scene, limit), limit.distance_m)
+                let sites = sites(scene, &limit.between, limit.points.as_ref());
+                BodiesCondition::DistanceBelow(sites, limit.distance_m)
             }
             Stop { distance_above_m: Some(limit), .. } => {
-                BodiesCondition::DistanceAbove(sites(scene, limit), limit.distance_m)
+                let sites = sites(scene, &limit.between, limit.points.as_ref());
+                BodiesCondition::DistanceAbove(sites, limit.distance_m)
             }
             Stop { energy_error_above_j, .. } => {
                 let energy = energy_error_above_j.unwrap_or(f64::MAX);
@@ -148,11 +150,15 @@ fn stops<const N: usize>(
     scenario.until.iter().enumerate().map(stop).collect()
 }
 
-/// Returns the points of bodies, or of space, whose distance is limited.
-pub(crate) fn sites<const N: usize>(scene: &Bodies, limit: &DistanceLimit) -> [Site<N>; 2] {
+/// Returns the points of bodies, or of space, whose distance is looked at.
+pub(crate) fn sites<const N: usize>(
+    scene: &Bodies,
+    between: &[String; 2],
+    points: Option<&[Vec<f64>; 2]>,
+) -> [Site<N>; 2] {
     std::array::from_fn(|i| {
-        let point = limit.points.as_ref().map_or_else(Vector::zeros, |points| vector(&points[i]));
-        match scene.number(&limit.between[i]) {
+        let point = points.map_or_else(Vector::zeros, |points| vector(&points[i]));
+        match scene.number(&between[i]) {
             Some(body) => Site::Body(body, point),
             None => Site::Space(point),
         }

@@ -385,7 +385,7 @@ impl Bodies {
     }
 
     /// Returns the number of a body, whose name stands at `pointer`.
-    fn known(&self, pointer: &str, name: &str) -> Result<usize, ScenarioError> {
+    pub(crate) fn known(&self, pointer: &str, name: &str) -> Result<usize, ScenarioError> {
         self.number(name).ok_or_else(|| {
             let near = nearest(name, self.bodies.iter().map(|body| body.name.as_str()));
             let near = near.map(|near| format!("; did you mean `{near}`?")).unwrap_or_default();
@@ -423,13 +423,7 @@ impl Bodies {
                 continue;
             };
             let at = format!("{at}/{field}");
-            for (i, name) in between.iter().enumerate().filter(|(_, name)| *name != SPACE) {
-                self.known(&format!("{at}/between/{i}"), name)?;
-            }
-            Self::different(&at, between)?;
-            if let Some(given) = given {
-                points(&at, given, n)?;
-            }
+            self.check_between(&at, between, given.as_ref(), n)?;
             let pointer = format!("{at}/distance_m");
             number(&pointer, *distance_m)?;
             size(&pointer, [distance_m])?;
@@ -438,6 +432,21 @@ impl Bodies {
             })?;
         }
         Ok(())
+    }
+
+    /// Checks the names of two bodies, or of one and of space, and the points of them whose distance is looked at.
+    pub(crate) fn check_between(
+        &self,
+        at: &str,
+        between: &[String; 2],
+        given: Option<&[Vec<f64>; 2]>,
+        n: usize,
+    ) -> Check {
+        for (i, name) in between.iter().enumerate().filter(|(_, name)| *name != SPACE) {
+            self.known(&format!("{at}/between/{i}"), name)?;
+        }
+        Self::different(at, between)?;
+        given.map_or(Ok(()), |given| points(at, given, n))
     }
 
     fn different(at: &str, between: &[String; 2]) -> Check {
