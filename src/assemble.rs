@@ -153,6 +153,8 @@ pub(crate) struct BodiesAssembly<const N: usize> {
     pub(crate) bodies: Bodies<N>,
     pub(crate) stepper: Box<dyn BodiesStepper<N>>,
     pub(crate) initial: BodiesState<N>,
+    /// Steppers for the members of an ensemble that are logged in full; none without one.
+    pub(crate) members: Vec<Box<dyn BodiesStepper<N>>>,
 }
 
 /// Task for several planned bodies, whatever their n.
@@ -171,10 +173,15 @@ pub(crate) trait BodiesTask {
 pub(crate) fn assembled_bodies<T: BodiesTask>(plan: &Plan, task: T) -> T::Output {
     fn perform<const N: usize, T: BodiesTask>(plan: &Plan, task: T) -> T::Output {
         let scene = plan.settled.bodies().expect("a plan of several bodies");
-        let (bodies, initial) = system::<N>(scene).expect("the plan made them");
-        let stepper = bodies_stepper(plan, &bodies, &initial)
-            .expect("the plan refuses a method that cannot run the scene");
-        task.perform(BodiesAssembly { bodies, stepper, initial })
+        let (bodies, initial) = system::<N>(&plan.settled, scene).expect("the plan made them");
+        let stepper = || {
+            bodies_stepper(plan, &bodies, &initial)
+                .expect("the plan refuses a method that cannot run the scene")
+        };
+        let in_full = plan.ensemble.iter().flat_map(|ensemble| &ensemble.in_full);
+        let members = in_full.map(|_| stepper()).collect();
+        let stepper = stepper();
+        task.perform(BodiesAssembly { bodies, stepper, initial, members })
     }
     macro_rules! at {
         ($n:literal) => {

@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::log::LogError;
 use crate::log::columns::Columns as Arrays;
 use crate::log::field::{Cell, Field, Kind};
-use crate::log::messages::{EnsembleStatistics, Member, Message, State};
+use crate::log::messages::{BodyState, EnsembleStatistics, Member, MemberBody, Message, State};
 use crate::log::reader::{self, Ending, Item};
 use crate::log::rows::{Row, read_rows};
 use crate::log::schema::Channel;
@@ -141,6 +141,10 @@ fn of_member(member: &Member) -> Vec<Field> {
         let fields = Field::of(state.as_ref(), State::fields);
         fields.into_iter().map(|field| field.after(before)).collect::<Vec<_>>()
     };
+    let of_body = |before: &str, state: &Option<BodyState>| {
+        let fields = Field::of(state.as_ref(), BodyState::fields);
+        fields.into_iter().map(|field| field.after(before)).collect::<Vec<_>>()
+    };
     let mut fields = vec![
         Field::count("member", &member.member),
         Field::word("outcome", &member.outcome),
@@ -150,8 +154,14 @@ fn of_member(member: &Member) -> Vec<Field> {
         Field::count("iterations", &member.iterations),
     ];
     fields.extend(state("initial_", &member.initial));
-    fields.push(Field::number("time_s", &member.last.as_ref().map(|last| last.time_s)));
+    for MemberBody { name, initial, .. } in &member.bodies {
+        fields.extend(of_body(&format!("{name}_initial_"), initial));
+    }
+    fields.push(Field::number("time_s", &member.end_s()));
     fields.extend(state("", &member.last));
+    for MemberBody { name, last, .. } in &member.bodies {
+        fields.extend(of_body(&format!("{name}_"), last));
+    }
     let figures = member.figures.unwrap_or_default();
     fields.extend([
         Field::number("energy_initial", &figures.energy_initial),
@@ -175,6 +185,20 @@ fn of_statistics(found: &EnsembleStatistics) -> Vec<Field> {
         Field::numbers("mean_body_momentum", &found.mean_body_momentum),
         Field::numbers("body_momentum_deviation", &found.body_momentum_deviation),
     ];
+    for body in &found.bodies {
+        let of_body = [
+            Field::numbers("mean_attitude", &body.mean_attitude),
+            Field::number("attitude_spread_rad", &body.attitude_spread_rad),
+            Field::numbers("mean_body_momentum", &body.mean_body_momentum),
+            Field::numbers("body_momentum_deviation", &body.body_momentum_deviation),
+            Field::numbers("mean_position", &body.mean_position),
+            Field::numbers("position_deviation", &body.position_deviation),
+            Field::numbers("mean_velocity", &body.mean_velocity),
+            Field::numbers("velocity_deviation", &body.velocity_deviation),
+        ];
+        let before = format!("{}_", body.name);
+        fields.extend(of_body.map(|field| field.after(&before)));
+    }
     for (name, of) in [
         ("energy_error_max", found.energy_max_abs_error),
         ("orthogonality_error_max", found.orthogonality_max),

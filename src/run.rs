@@ -49,8 +49,8 @@ pub use record::Recording;
 pub use simulation::{Advanced, Simulation};
 use summary::{Advised, EnergySeen};
 pub use summary::{
-    CovarianceSummary, DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary, FinalBody,
-    FinalState, MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
+    BodySpread, CovarianceSummary, DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary,
+    FinalBody, FinalState, MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
 };
 
 /// Inputs that a run shares with other threads.

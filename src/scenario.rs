@@ -34,8 +34,9 @@ pub(crate) use check::dividing;
 #[cfg(feature = "serve")]
 pub(crate) use check::twelve_digits;
 pub use control::{
-    AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, Law, Magnetorquers,
-    Noise, OrbitTarget, Pointing, Stop, Target, Through, TurningTarget, WheelFriction, Wheels,
+    AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, DistanceLimit, Field, Law,
+    Magnetorquers, Noise, OrbitTarget, Pointing, Stop, Target, Through, TurningTarget,
+    WheelFriction, Wheels,
 };
 pub use derivatives::{Covariance, Derivatives};
 pub use driven::{

@@ -124,10 +124,8 @@ impl Sweep {
         file.scenario = tree.clone();
         let n = base.dimension();
         let ends = end_columns(&base);
-        ensure(base.bodies().is_none() || file.scores.is_empty(), "/scores", || {
-            "is given for several bodies; scores are for scenes of one body".into()
-        })?;
         file.check(n, &ends.concat())?;
+        file.check_bodies(&base)?;
         file.check_skips(&base)?;
         file.check_pointing(&base)?;
         let members = file.members()?;

@@ -40,9 +40,11 @@ mod block;
 mod coefficients;
 mod forces;
 mod motion;
+mod stop;
 
 use forces::{Configuration, Forces};
-pub use motion::{BodiesState, Start};
+pub use motion::{BodiesState, Change, Start};
+pub use stop::{BodiesCondition, BodiesStop, distance};
 
 /// Distance of two points between which a force without a limit acts, in metres, below which it means nothing.
 pub const CLOSEST_APPROACH_M: f64 = 1e-8;
@@ -197,6 +199,7 @@ pub struct Bodies<const N: usize> {
     /// Places of the trees that are fixed; zero for the others.
     fixed: Vec<Vector<N>>,
     interactions: Vec<Interaction<N>>,
+    stops: Vec<BodiesStop<N>>,
     work: Work,
 }
 
@@ -243,7 +246,8 @@ impl<const N: usize> Bodies<N> {
                 tree
             })
             .collect();
-        Ok(Self { bodies, inverses, trees, tree_of, fixed, interactions, work: Work::default() })
+        let (stops, work) = (Vec::new(), Work::default());
+        Ok(Self { bodies, inverses, trees, tree_of, fixed, interactions, stops, work })
     }
 
     /// Returns the same system, which counts its work there, and ends where that says.
@@ -308,13 +312,7 @@ impl<const N: usize> Bodies<N> {
         velocities: &mut [Mat<N>],
     ) -> Result<(), Failure> {
         for (a, momentum) in momenta.iter().enumerate() {
-            velocities[a] = match &self.inverses[a] {
-                Inverse::Weights(weights) => momentum.component_mul(weights),
-                Inverse::Full(inverse) => {
-                    let momentum = DVector::from_iterator(so::dimension(N), coordinates(momentum));
-                    of_coordinates((inverse * momentum).as_slice())
-                }
-            };
+            velocities[a] = self.velocity_alone(a, momentum);
         }
         let mut room = Vec::new();
         for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
@@ -334,6 +332,17 @@ impl<const N: usize> Bodies<N> {
             }
         }
         Ok(())
+    }
+
+    /// `J^-1 mu` of a body by itself: its velocity, if no joint couples that to those of others.
+    fn velocity_alone(&self, body: usize, momentum: &Mat<N>) -> Mat<N> {
+        match &self.inverses[body] {
+            Inverse::Weights(weights) => momentum.component_mul(weights),
+            Inverse::Full(inverse) => {
+                let momentum = DVector::from_iterator(so::dimension(N), coordinates(momentum));
+                of_coordinates((inverse * momentum).as_slice())
+            }
+        }
     }
 
     /// Returns the momenta of bodies that turn at these velocities.

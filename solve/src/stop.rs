@@ -3,6 +3,7 @@
 //! Invariant: a condition is a function of the state, the time and the energy error.
 
 use super::control::Target;
+use super::failure::Failure;
 use super::so::{self, Mat};
 
 /// A condition that ends a run once it has held for some time.
@@ -33,7 +34,7 @@ pub enum Condition<const N: usize> {
     EnergyErrorAbove(f64),
 }
 
-impl<const N: usize> Stop<N> {
+impl<const N: usize> Condition<N> {
     /// Returns a number above zero where the condition holds, and continuous: at a time in seconds, for an attitude, its velocity
     /// if that has a name, and the energy error.
     pub(super) fn margin(
@@ -43,13 +44,45 @@ impl<const N: usize> Stop<N> {
         velocity: Option<Mat<N>>,
         energy_error: impl Fn() -> f64,
     ) -> f64 {
-        match &self.condition {
-            Condition::PointingErrorBelow(target, angle) => angle - target.error(time_s, g).1,
-            Condition::AngleAbove(target, angle) => target.error(time_s, g).1 - angle,
-            Condition::RateBelow(rate) => {
+        match self {
+            Self::PointingErrorBelow(target, angle) => angle - target.error(time_s, g).1,
+            Self::AngleAbove(target, angle) => target.error(time_s, g).1 - angle,
+            Self::RateBelow(rate) => {
                 velocity.map_or(-1.0, |velocity| rate - so::inner(&velocity, &velocity).sqrt())
             }
-            Condition::EnergyErrorAbove(energy) => energy_error().abs() - energy,
+            Self::EnergyErrorAbove(energy) => energy_error().abs() - energy,
         }
     }
+}
+
+/// Takes note of whether a condition holds at a time; returns whether it has now held for `for_s` seconds.
+pub(super) fn is_over(since_s: &mut Option<f64>, holds: bool, time_s: f64, for_s: f64) -> bool {
+    *since_s = if holds { since_s.or(Some(time_s)) } else { None };
+    since_s.is_some_and(|since_s| time_s - since_s >= for_s - super::time::rounding_s(time_s))
+}
+
+/// Returns the part of a step, in s, at whose end a condition comes to hold that holds at the end of the whole step and not at its
+/// beginning: by bisection, for steps that end at knots make a margin no more than continuous. `holds` says whether it does after
+/// a part.
+///
+/// # Errors
+/// Those of `holds`.
+pub(super) fn located(
+    step_s: f64,
+    mut holds: impl FnMut(f64) -> Result<bool, Failure>,
+) -> Result<f64, Failure> {
+    let (mut before_s, mut after_s) = (0.0, step_s);
+    while after_s - before_s > EXACT_S {
+        let middle_s = 0.5 * (before_s + after_s);
+        // In a step so long that its numbers are farther apart.
+        if middle_s <= before_s || middle_s >= after_s {
+            break;
+        }
+        if holds(middle_s)? {
+            after_s = middle_s;
+        } else {
+            before_s = middle_s;
+        }
+    }
+    Ok(after_s)
 }

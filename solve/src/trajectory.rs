@@ -12,7 +12,7 @@ use super::pointing::Pointed;
 use super::so::{self, Mat};
 use super::state::{Checkpoint, Derivatives, Pace, State};
 use super::stepper::{Knots, Stepper};
-use super::stop::{EXACT_S, Stop};
+use super::stop::{self, Stop};
 use super::system::{Energy, System};
 
 /// Length and resolution of a trajectory.
@@ -384,7 +384,7 @@ impl<const N: usize> Bookkeeping<N> {
         let g = stepper.attitude().unwrap_or_else(Mat::identity);
         let mu = stepper.momentum();
         let velocity = system.observed_velocity(time_s, &g, &mu);
-        stop.margin(time_s, &g, velocity, || {
+        stop.condition.margin(time_s, &g, velocity, || {
             let work = self.reached.work + stepper.work();
             system.energy_at(time_s, &g, &mu).total() - self.observer.initial_energy - work
         })
@@ -404,11 +404,8 @@ impl<const N: usize> Bookkeeping<N> {
         self.reached.holds_since_s.resize(stops.len(), None);
         for (number, stop) in stops.iter().enumerate() {
             let holds = self.margin(stop, system, stepper, time_s) > 0.0;
-            let since = &mut self.reached.holds_since_s[number];
-            *since = if holds { since.or(Some(time_s)) } else { None };
-            let is_over = since.is_some_and(|since_s| {
-                time_s - since_s >= stop.for_s - super::time::rounding_s(time_s)
-            });
+            let since_s = &mut self.reached.holds_since_s[number];
+            let is_over = stop::is_over(since_s, holds, time_s, stop.for_s);
             if is_over && self.goes_on() {
                 self.ending = Ending::Stopped(number);
             }
@@ -465,8 +462,7 @@ impl<const N: usize> Bookkeeping<N> {
     }
 
     /// Returns the part of the step after the state reached, in s, at whose end a condition comes to hold that holds at the end of
-    /// the whole step: by bisection, for steps that end at knots make the margin no more than continuous. The whole step if it
-    /// holds from the beginning.
+    /// the whole step: see [`stop::located`]. The whole step if it holds from the beginning.
     fn located<Y: System<N> + ?Sized>(
         &self,
         stop: &Stop<N>,
@@ -475,24 +471,13 @@ impl<const N: usize> Bookkeeping<N> {
     ) -> Result<f64, Failure> {
         let begun_s = self.reached.step as f64 * self.step_s;
         stepper.resume(&self.reached);
-        let (mut before_s, mut after_s) = (0.0, self.step_s);
         if self.margin(stop, system, stepper, begun_s) > 0.0 {
-            return Ok(after_s);
+            return Ok(self.step_s);
         }
-        while after_s - before_s > EXACT_S {
-            let middle_s = 0.5 * (before_s + after_s);
-            // In a step so long that its numbers are farther apart.
-            if middle_s <= before_s || middle_s >= after_s {
-                break;
-            }
-            self.part(system, stepper, middle_s).1?;
-            if self.margin(stop, system, stepper, begun_s + middle_s) > 0.0 {
-                after_s = middle_s;
-            } else {
-                before_s = middle_s;
-            }
-        }
-        Ok(after_s)
+        stop::located(self.step_s, |part_s| {
+            self.part(system, stepper, part_s).1?;
+            Ok(self.margin(stop, system, stepper, begun_s + part_s) > 0.0)
+        })
     }
 
     /// The time of the state that was reached, in s.

@@ -134,6 +134,13 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
         if let Some(spread) = ensemble.attitude_spread_rad {
             line("spread", format!("{spread:.3e} rad of attitude at the end"));
         }
+        for (name, spread) in &ensemble.bodies {
+            let size = |deviations: &[f64]| deviations.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let turned = spread.attitude_spread_rad;
+            let turned = turned.map_or_else(String::new, |rad| format!("{rad:.3e} rad, "));
+            let moved = size(&spread.position_deviation_m);
+            line("spread", format!("{name}: {turned}{moved:.3e} m at the end"));
+        }
         if let Some(error) = ensemble.energy_max_abs_error {
             line("worst energy", format!("error at most {error:.2e} J in any member"));
         }

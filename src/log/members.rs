@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::LogError;
 use super::end::End;
-use super::messages::{Figures, Member, State, Waypoints};
+use super::messages::{BodyWaypoints, Figures, Member, MemberBody, Waypoints};
 use super::reader::{self, Item};
 use super::schema::Channel;
 
@@ -22,8 +22,10 @@ use super::schema::Channel;
 #[serde(rename_all = "snake_case")]
 pub enum MemberQuantity {
     /// Angle between the attitudes of a member and of member 0, in rad. For n > 3 the root of the sum of the squares
-    /// of its angles as long as they are small, at most pi.
+    /// of its angles as long as they are small, at most pi. Of several bodies the largest, as for what follows.
     Distance,
+    /// Several bodies: distance of the centre of mass from that in member 0, in m.
+    PlaceDistance,
     /// Angle of an axis of the body to the axis of space of the same number, in rad.
     AxisAngle,
     /// Size of the angular velocity, in rad/s.
@@ -38,8 +40,9 @@ pub enum MemberQuantity {
 
 impl MemberQuantity {
     /// All quantities.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Distance,
+        Self::PlaceDistance,
         Self::AxisAngle,
         Self::AngularVelocity,
         Self::EnergyError,
@@ -51,6 +54,7 @@ impl MemberQuantity {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Distance => "distance",
+            Self::PlaceDistance => "place_distance",
             Self::AxisAngle => "axis_angle",
             Self::AngularVelocity => "angular_velocity",
             Self::EnergyError => "energy_error",
@@ -63,6 +67,7 @@ impl MemberQuantity {
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Distance | Self::AxisAngle => "rad",
+            Self::PlaceDistance => "m",
             Self::AngularVelocity => "rad/s",
             Self::EnergyError => "J",
             Self::OrthogonalityError => "",
@@ -71,32 +76,59 @@ impl MemberQuantity {
     }
 
     /// Returns its value at each point on the way of a member, up to the end of member 0 if it is
-    /// compared with that.
-    fn values(self, way: &Waypoints, nominal: &Waypoints, axis: usize) -> Vec<f32> {
-        let count = way.time_s.len();
-        match self {
-            Self::Distance => {
-                let size = way.attitude.len() / count.max(1);
-                if size == 0 {
-                    return Vec::new();
-                }
-                let both = way.attitude.chunks_exact(size).zip(nominal.attitude.chunks_exact(size));
-                let times = way.time_s.iter().zip(&nominal.time_s);
-                let together = both.zip(times).take_while(|(_, (mine, its))| mine == its);
-                together.map(|((g, g0), _)| between(g, g0)).collect()
+    /// compared with that; of several bodies the largest.
+    fn values(self, way: &Ways, nominal: &Ways, axis: usize) -> Vec<f32> {
+        let of_all = match self {
+            Self::EnergyError => &way.of_all.energy_error,
+            Self::OrthogonalityError => &way.of_all.orthogonality_error,
+            Self::MomentumDrift => &way.of_all.momentum_drift,
+            _ => {
+                let bodies = way.bodies.iter().zip(nominal.of_each());
+                let each = bodies.map(|(body, nominal_body)| {
+                    self.of_body((&way.of_all.time_s, body), nominal_body, axis)
+                });
+                // All have the same times.
+                let larger = |mut most: Vec<f32>, values: Vec<f32>| {
+                    most.iter_mut().zip(values).for_each(|(most, value)| *most = most.max(value));
+                    most
+                };
+                return each.reduce(larger).unwrap_or_default();
             }
+        };
+        of_all.clone()
+    }
+
+    /// Does the same of one body.
+    fn of_body(
+        self,
+        (time_s, way): (&[f64], &BodyWaypoints),
+        nominal: Option<(&[f64], &BodyWaypoints)>,
+        axis: usize,
+    ) -> Vec<f32> {
+        let count = time_s.len().max(1);
+        let from_nominal = |mine: &[f32], of: fn(&BodyWaypoints) -> &[f32], by: Compare| {
+            let Some((its_s, nominal)) = nominal else { return Vec::new() };
+            let size = mine.len() / count;
+            if size == 0 {
+                return Vec::new();
+            }
+            let both = mine.chunks_exact(size).zip(of(nominal).chunks_exact(size));
+            let times = time_s.iter().zip(its_s);
+            let together = both.zip(times).take_while(|(_, (mine, its))| mine == its);
+            together.map(|((x, x0), _)| by(x, x0)).collect()
+        };
+        match self {
+            Self::Distance => from_nominal(&way.attitude, |way| &way.attitude, between),
+            Self::PlaceDistance => from_nominal(&way.position, |way| &way.position, apart),
             Self::AxisAngle => {
-                let n = way.axis_angle.len() / count.max(1);
+                let n = way.axis_angle.len() / count;
                 way.axis_angle
                     .chunks_exact(n.max(1))
                     .filter_map(|at| at.get(axis))
                     .copied()
                     .collect()
             }
-            Self::AngularVelocity => way.angular_velocity.clone(),
-            Self::EnergyError => way.energy_error.clone(),
-            Self::OrthogonalityError => way.orthogonality_error.clone(),
-            Self::MomentumDrift => way.momentum_drift.clone(),
+            _ => way.angular_velocity.clone(),
         }
     }
 
@@ -106,7 +138,7 @@ impl MemberQuantity {
             Self::EnergyError => figures.energy_max_abs_error,
             Self::OrthogonalityError => figures.orthogonality_max,
             Self::MomentumDrift => figures.momentum_max_drift,
-            Self::Distance | Self::AxisAngle | Self::AngularVelocity => None,
+            Self::Distance | Self::PlaceDistance | Self::AxisAngle | Self::AngularVelocity => None,
         }
     }
 }
@@ -117,6 +149,41 @@ fn between(g: &[f32], g0: &[f32]) -> f32 {
     let squares = g.iter().zip(g0).map(|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2));
     let chord = (squares.sum::<f64>() / 8.0).sqrt();
     (2.0 * libm::asin(chord.min(1.0))) as f32
+}
+
+/// Compares what two members are at a time.
+type Compare = fn(&[f32], &[f32]) -> f32;
+
+/// Returns the distance of two points.
+fn apart(x: &[f32], x0: &[f32]) -> f32 {
+    let squares = x.iter().zip(x0).map(|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2));
+    squares.sum::<f64>().sqrt() as f32
+}
+
+/// The points on the way of a member, those of each body by themselves.
+#[derive(Debug, Default)]
+struct Ways {
+    of_all: Waypoints,
+    bodies: Vec<BodyWaypoints>,
+}
+
+impl Ways {
+    fn of(way: Waypoints, bodies: Vec<MemberBody>) -> Self {
+        let one = BodyWaypoints {
+            attitude: way.attitude.clone(),
+            axis_angle: way.axis_angle.clone(),
+            angular_velocity: way.angular_velocity.clone(),
+            position: Vec::new(),
+        };
+        let several: Vec<_> = bodies.into_iter().map(|body| body.way.unwrap_or_default()).collect();
+        Self { of_all: way, bodies: if several.is_empty() { vec![one] } else { several } }
+    }
+
+    /// Returns the times and points of each body, and nothing for bodies that it has not.
+    fn of_each(&self) -> impl Iterator<Item = Option<(&[f64], &BodyWaypoints)>> {
+        let known = self.bodies.iter().map(|body| Some((self.of_all.time_s.as_slice(), body)));
+        known.chain(std::iter::repeat(None))
+    }
 }
 
 /// The order of members.
@@ -224,8 +291,13 @@ pub fn read_members(
     wanted: Wanted,
     stopped: &dyn Fn() -> bool,
 ) -> Result<Option<Members>, LogError> {
-    let mut reading =
-        Reading { wanted, nominal: None, rows: Vec::new(), last_s: Vec::new(), time_s: Vec::new() };
+    let mut reading = Reading {
+        wanted,
+        nominal: Ways::default(),
+        rows: Vec::new(),
+        last_s: Vec::new(),
+        time_s: Vec::new(),
+    };
     let mut stop = false;
     each(path, |member| {
         stop = stopped();
@@ -238,19 +310,19 @@ pub fn read_members(
     Ok((!stop).then(|| reading.members()))
 }
 
-/// Reads where a member began; `None` if it has not ended yet, there is none of this number, or `stopped` said so.
+/// Reads how a member began and ended; `None` if it has not ended yet, there is none of this number, or `stopped` said so.
 ///
 /// # Errors
 /// If the file cannot be read, or its index is damaged.
-pub fn read_start(
+pub fn read_member(
     path: &Path,
     member: u64,
     stopped: &dyn Fn() -> bool,
-) -> Result<Option<State>, LogError> {
+) -> Result<Option<Member>, LogError> {
     let mut found = None;
     each(path, |end| {
         if end.member == member {
-            found = end.initial;
+            found = Some(end);
             return ControlFlow::Break(());
         }
         if stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -280,7 +352,7 @@ fn each(path: &Path, mut visit: impl FnMut(Member) -> ControlFlow<()>) -> Result
 struct Reading {
     wanted: Wanted,
     /// The way of member 0, which ends first.
-    nominal: Option<Waypoints>,
+    nominal: Ways,
     rows: Vec<MemberRow>,
     /// Time of the last value of each row.
     last_s: Vec<Option<f64>>,
@@ -291,14 +363,11 @@ struct Reading {
 impl Reading {
     fn note(&mut self, end: Member) {
         let Wanted { quantity, axis, .. } = self.wanted;
-        let way = end.way.unwrap_or_default();
-        if end.member == 0 {
-            self.nominal = Some(way.clone());
-        }
-        let values = match &self.nominal {
-            Some(nominal) => quantity.values(&way, nominal, axis),
-            None => quantity.values(&way, &Waypoints::default(), axis),
-        };
+        let end_s = end.end_s().unwrap_or_default();
+        let ways = Ways::of(end.way.unwrap_or_default(), end.bodies);
+        let nominal = if end.member == 0 { &ways } else { &self.nominal };
+        let values = quantity.values(&ways, nominal, axis);
+        let way = &ways.of_all;
         self.last_s
             .push(values.len().checked_sub(1).and_then(|last| way.time_s.get(last).copied()));
         let sizes = values.iter().enumerate().map(|(k, value)| (k, value.abs()));
@@ -308,13 +377,16 @@ impl Reading {
             member: end.member,
             outcome: end.outcome,
             steps: end.steps,
-            end_s: end.last.map_or(0.0, |last| last.time_s),
+            end_s,
             largest: known.or(peak.map(|(_, size)| f64::from(size))),
             largest_at_s: peak.and_then(|(k, _)| way.time_s.get(k).copied()),
             values,
         });
         if way.time_s.len() > self.time_s.len() {
-            self.time_s = way.time_s;
+            self.time_s.clone_from(&way.time_s);
+        }
+        if end.member == 0 {
+            self.nominal = ways;
         }
     }
 

@@ -14,7 +14,7 @@ use crate::solve::control;
 use crate::solve::nonlinear::{Convergence, Rung};
 use crate::solve::pointing::Pointed;
 pub use crate::solve::so::quaternion;
-use crate::solve::so::{self, Mat};
+use crate::solve::so::{self, Mat, Vector};
 use crate::solve::state;
 use crate::solve::system;
 use crate::solve::trajectory::Sample;
@@ -201,6 +201,12 @@ impl Member {
     pub(crate) fn stopped_by_pointer(&self) -> Option<String> {
         self.stopped_by.map(|number| format!("/until/{number}"))
     }
+
+    /// Returns the time of its end in seconds; `None` if it has no state there.
+    pub(crate) fn end_s(&self) -> Option<f64> {
+        let of_body = || self.bodies.first()?.last.as_ref().map(|last| last.time_s);
+        self.last.as_ref().map(|last| last.time_s).or_else(of_body)
+    }
 }
 
 impl State {
@@ -298,6 +304,28 @@ impl BodyState {
         }
     }
 
+    /// Returns what was seen of the body; `None` if a list is of another size.
+    pub(crate) fn body<const N: usize>(&self) -> Option<bodies::BodySample<N>> {
+        let d = so::dimension(N);
+        let is_whole = self.attitude.len() == N * N
+            && self.body_momentum.len() == d
+            && self.angular_velocity.len() == d
+            && [&self.position, &self.velocity, &self.linear_momentum].map(Vec::len) == [N; 3];
+        is_whole.then(|| bodies::BodySample {
+            attitude: Mat::from_row_slice(&self.attitude),
+            momentum: so::hat(&self.body_momentum),
+            angular_velocity: so::hat(&self.angular_velocity),
+            position: Vector::from_row_slice(&self.position),
+            velocity: Vector::from_row_slice(&self.velocity),
+            linear_momentum: Vector::from_row_slice(&self.linear_momentum),
+        })
+    }
+
+    /// Returns its fields in a table.
+    pub(crate) fn fields(&self) -> Vec<Field> {
+        self.lists().map(|(name, list)| Field::numbers(name, list)).into()
+    }
+
     /// Returns its lists of numbers by name.
     pub(super) fn lists(&self) -> [(&'static str, &[f64]); 7] {
         [
@@ -313,8 +341,8 @@ impl BodyState {
 
     /// Returns the fields of a body in a table, which begin with its name.
     fn named((body, state): &(BodyName, Self)) -> impl Iterator<Item = Field> {
-        let named = |(name, list)| Field::numbers(name, list).after(&format!("{}_", body.as_str()));
-        state.lists().map(named).into_iter()
+        let before = format!("{}_", body.as_str());
+        state.fields().into_iter().map(move |field| field.after(&before))
     }
 }
 
@@ -506,7 +534,8 @@ impl Checkpoint {
 
     /// Returns the place of a trajectory of several bodies, and the figures of its samples so far.
     pub fn of_bodies(checkpoint: &bodies::Checkpoint, figures: Figures) -> Self {
-        let bodies::Checkpoint { step, samples, iterations, convergence, numbers } = checkpoint;
+        let bodies::Checkpoint { step, samples, iterations, convergence, numbers, holds_since_s } =
+            checkpoint;
         Self {
             step: *step,
             samples: *samples,
@@ -514,6 +543,7 @@ impl Checkpoint {
             solver: convergence.map(Into::into),
             figures: Some(figures),
             numbers: numbers.clone(),
+            held: holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
             ..Self::default()
         }
     }
@@ -532,6 +562,7 @@ impl Checkpoint {
             iterations: self.iterations,
             convergence: self.solver.as_ref().and_then(Solver::convergence),
             numbers: self.numbers.clone(),
+            holds_since_s: self.held.iter().map(|held| held.since_s).collect(),
         })
     }
 

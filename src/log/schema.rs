@@ -463,18 +463,29 @@ const fn state_bytes(n: usize) -> u64 {
 }
 
 /// Returns about how many bytes the end of a member of an ensemble takes before compression, with
-/// `waypoints` points on its way.
-pub const fn bytes_per_member(n: usize, waypoints: u64) -> u64 {
+/// `waypoints` points on its way; `bodies` of several, 0 for one.
+pub const fn bytes_per_member(n: usize, bodies: u64, waypoints: u64) -> u64 {
     const FIGURES: u64 = 180;
     const TIME: u64 = 8;
-    dense_bytes_per_member(n, waypoints) + FIGURES + waypoints * TIME
+    /// Name, tags and lengths of one of several bodies.
+    const OF_BODY: u64 = 80;
+    let dense = dense_bytes_per_member(n, bodies, waypoints);
+    dense + FIGURES + bodies * OF_BODY + waypoints * TIME
 }
 
 /// Returns how many of these bytes are of its two states and of its points, whose digits do not
 /// compress.
-pub const fn dense_bytes_per_member(n: usize, waypoints: u64) -> u64 {
-    const VELOCITY_AND_ERRORS: usize = 4;
-    2 * state_bytes(n) + waypoints * 4 * (n * n + n + VELOCITY_AND_ERRORS) as u64
+pub const fn dense_bytes_per_member(n: usize, bodies: u64, waypoints: u64) -> u64 {
+    const ERRORS: u64 = 3;
+    // Attitude, angles and velocity.
+    let turned = (n * n + n + 1) as u64;
+    let n = n as u64;
+    let of_bodies = if bodies == 0 {
+        2 * state_bytes(n as usize) + waypoints * 4 * turned
+    } else {
+        bodies * (2 * (state_bytes(n as usize) + 3 * 8 * n) + waypoints * 4 * (turned + n))
+    };
+    of_bodies + waypoints * 4 * ERRORS
 }
 
 /// Name of one of several bodies: 1 to 40 letters, digits, `_` or `-`, a letter first.

@@ -597,7 +597,7 @@ impl LogWriter {
         self.record_seen(member, seen, &message)
     }
 
-    /// Takes a sample of several bodies.
+    /// Takes a sample of several bodies, of a member of an ensemble; of a run is member 0.
     ///
     /// # Errors
     /// If it holds values that a log cannot hold, or the file cannot be written.
@@ -606,6 +606,7 @@ impl LogWriter {
     /// If it is of another dimension than the log, or of another number of bodies.
     pub fn record_bodies<const N: usize>(
         &mut self,
+        member: u64,
         sample: &bodies::Sample<N>,
     ) -> Result<(), LogError> {
         assert_eq!(N, self.dimension, "a log is of one dimension");
@@ -624,7 +625,7 @@ impl LogWriter {
             reference: None,
         };
         let message = |channel, body, turn| SampleMessage::of_bodies(channel, body, sample, turn);
-        self.record_seen(0, seen, &message)
+        self.record_seen(member, seen, &message)
     }
 
     /// Does the same, compiled once for all dimensions.
@@ -684,8 +685,11 @@ impl LogWriter {
     fn frames(&self, member: u64, sample: &SampleSeen<'_>, time_ns: u64) -> FrameTransforms {
         let frame = |(body, (found, place)): (usize, &Pose)| {
             let turn = found.and(self.turns.get(&(member, body)).copied())?;
-            let name = self.bodies.get(body).map(BodyName::as_str);
-            let name = name.map_or_else(|| body_frame(member), Cow::Borrowed);
+            let name = match (self.bodies.get(body).map(BodyName::as_str), member) {
+                (None, _) => body_frame(member),
+                (Some(name), 0) => Cow::Borrowed(name),
+                (Some(name), _) => Cow::Owned(format!("{name}/{member}")),
+            };
             Some(messages::frame(turn, *place, time_ns, &name))
         };
         let mut transforms: Vec<_> = sample.poses.iter().enumerate().filter_map(frame).collect();

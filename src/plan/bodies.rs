@@ -11,12 +11,14 @@ use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
     Bodies, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, SPACE, Scenario,
-    ScenarioError, Solver,
+    ScenarioError, Solver, Stop,
 };
 use crate::solve::bodies::apart::BodiesApart;
-use crate::solve::bodies::{self, BodiesState, Hold, Site, Start};
+use crate::solve::bodies::{self, BodiesCondition, BodiesState, BodiesStop, Hold, Site, Start};
+use crate::solve::control::Target;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::so::{self, Mat, Vector};
+use crate::solve::stop::Condition;
 
 /// Treatment of a body.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
@@ -32,11 +34,12 @@ pub struct BodyPlan {
     pub exact: bool,
 }
 
-/// Returns the system of the bodies of a scene, and its state at the start.
+/// Returns the system of the bodies of a scene, with the conditions that end its run, and its state at the start.
 ///
 /// # Errors
-/// Where the numbers of a body make none, with the pointer of the field.
+/// Where the numbers of a body or of a condition make none, with the pointer of the field.
 pub(crate) fn system<const N: usize>(
+    scenario: &Scenario,
     scene: &Bodies,
 ) -> Result<(bodies::Bodies<N>, BodiesState<N>), ScenarioError> {
     let joints = scene.joint_of_each();
@@ -102,7 +105,64 @@ pub(crate) fn system<const N: usize>(
         let message = "makes no finite energy at the start: points of a singular term meet, or numbers are too large";
         return Err(ScenarioError::invalid("/scene/bodies", message));
     }
-    Ok((system, state))
+    let stops = stops(scenario, scene, &state)?;
+    Ok((system.with_stops(stops), state))
+}
+
+/// Returns the conditions that end a run of bodies that begin at `initial`.
+fn stops<const N: usize>(
+    scenario: &Scenario,
+    scene: &Bodies,
+    initial: &BodiesState<N>,
+) -> Result<Vec<BodiesStop<N>>, ScenarioError> {
+    let stop = |(number, stop): (usize, &Stop)| {
+        let body = stop.body.as_ref().and_then(|name| scene.number(name)).unwrap_or_default();
+        let condition = match stop {
+            Stop { angle_above_rad: Some(above), .. } => {
+                let from = match &above.from {
+                    Some(from) => {
+                        let pointer = format!("/until/{number}/angle_above_rad/from");
+                        matrix(&attitude(&pointer, Some(from), N)?)
+                    }
+                    None => initial.attitudes[body],
+                };
+                let from = Target::fixed(from);
+                BodiesCondition::Of(body, Condition::AngleAbove(from, above.angle_rad))
+            }
+            Stop { rate_below_rad_s: Some(rate), .. } => {
+                BodiesCondition::Of(body, Condition::RateBelow(*rate))
+            }
+            Stop { distance_below_m: Some(limit), .. } => {
+                let sites = sites(scene, &limit.between, limit.points.as_ref());
+                BodiesCondition::DistanceBelow(sites, limit.distance_m)
+            }
+            Stop { distance_above_m: Some(limit), .. } => {
+                let sites = sites(scene, &limit.between, limit.points.as_ref());
+                BodiesCondition::DistanceAbove(sites, limit.distance_m)
+            }
+            Stop { energy_error_above_j, .. } => {
+                let energy = energy_error_above_j.unwrap_or(f64::MAX);
+                BodiesCondition::Of(body, Condition::EnergyErrorAbove(energy))
+            }
+        };
+        Ok(BodiesStop { condition, for_s: stop.for_s, exact: stop.exact })
+    };
+    scenario.until.iter().enumerate().map(stop).collect()
+}
+
+/// Returns the points of bodies, or of space, whose distance is looked at.
+pub(crate) fn sites<const N: usize>(
+    scene: &Bodies,
+    between: &[String; 2],
+    points: Option<&[Vec<f64>; 2]>,
+) -> [Site<N>; 2] {
+    std::array::from_fn(|i| {
+        let point = points.map_or_else(Vector::zeros, |points| vector(&points[i]));
+        match scene.number(&between[i]) {
+            Some(body) => Site::Body(body, point),
+            None => Site::Space(point),
+        }
+    })
 }
 
 fn vector<const N: usize>(given: &[f64]) -> Vector<N> {
@@ -215,17 +275,17 @@ impl Plan {
         let n = scenario.dimension();
         let mut exact = Vec::new();
         match n {
-            2 => system::<2>(scene).map(drop),
-            3 => system::<3>(scene).map(|(bodies, initial)| {
+            2 => system::<2>(scenario, scene).map(drop),
+            3 => system::<3>(scenario, scene).map(|(bodies, initial)| {
                 if scenario.method.name.integrator().is_none() {
                     exact = BodiesApart::exact(&bodies, &initial, step_s);
                 }
             }),
-            4 => system::<4>(scene).map(drop),
-            5 => system::<5>(scene).map(drop),
-            6 => system::<6>(scene).map(drop),
-            7 => system::<7>(scene).map(drop),
-            _ => system::<8>(scene).map(drop),
+            4 => system::<4>(scenario, scene).map(drop),
+            5 => system::<5>(scenario, scene).map(drop),
+            6 => system::<6>(scenario, scene).map(drop),
+            7 => system::<7>(scenario, scene).map(drop),
+            _ => system::<8>(scenario, scene).map(drop),
         }?;
         let choice = tableau_choice(&scenario.method);
         let tableau = tableau(&choice, &scenario.method)?;

@@ -191,14 +191,15 @@ impl Plan {
         let mut chunks = samples / self.samples_per_chunk as f64;
         if let Some(ensemble) = &mut self.ensemble {
             let points = ensemble.waypoints(self.samples);
-            let end_bytes = bytes_per_member(n, points);
-            let dense = dense_bytes_per_member(n, points);
+            let several = self.bodies.len() as u64;
+            let end_bytes = bytes_per_member(n, several, points);
+            let dense = dense_bytes_per_member(n, several, points);
             let members = ensemble.members as f64;
             log += members * compressed(end_bytes, dense, compression);
             // The samples of the other members are looked at and not written; each begins and ends
             // once.
             let looked_at_ns = self.samples as f64 * (sample_ns - written_ns);
-            let ends_ns = 10_000.0 + 30.0 * libm::pow(n as f64, 3.0);
+            let ends_ns = bodies as f64 * (10_000.0 + 30.0 * libm::pow(n as f64, 3.0));
             let member_s = |step_ns: f64| 1e-9 * (steps * step_ns + looked_at_ns + ends_ns);
             let others = members - in_full as f64;
             self.work_s = in_full as f64 * self.work_s + others * member_s(step_ns);

@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Tried};
 use super::{
-    Asked, End, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary, finish,
-    header, note_errors, outcome,
+    Asked, End, Ensemble, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary,
+    finish, header, note_errors, outcome, stopped,
 };
 use crate::assemble::{BodiesAssembly, BodiesTask};
 use crate::log::LogError;
@@ -18,7 +18,7 @@ use crate::log::schema::BodyName;
 use crate::plan::Plan;
 use crate::scenario::{SMALLEST_STEP_S, Scenario};
 use crate::solve::bodies::trajectory::{
-    self, BodiesStepper, BodySample, Checkpoint, Course, Sample, Sink, Trajectory,
+    self, BodiesStepper, BodySample, Checkpoint, Course, Ending, Sample, Sink, Trajectory,
 };
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::failure::{Failure, two_digits};
@@ -36,7 +36,10 @@ impl BodiesTask for BodiesRun<'_> {
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
         let Self { plan, context, kept } = self;
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        if let (Some(asked), Some(planned)) = (&plan.asked.ensemble, &plan.ensemble) {
+            return Ensemble { plan, asked, planned, context }.run(assembly);
+        }
+        let BodiesAssembly { bodies, mut stepper, initial, .. } = assembly;
         let control = context.control;
         let begun = Instant::now();
         let (recorder, checkpoint) = match kept {
@@ -56,7 +59,7 @@ impl BodiesTask for BodiesRun<'_> {
             control.go_on(steps)
         });
         let Several { recorder, .. } = sink;
-        let Trajectory { ending, reached } = match end {
+        let Trajectory { ending, reached, time_s } = match end {
             Ok(end) => end,
             Err(error) => return Err(recorder.keep.left(error)),
         };
@@ -73,12 +76,16 @@ impl BodiesTask for BodiesRun<'_> {
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let energy = energy_at_the_ends(&bodies, &initial, &last);
         let reached = Reached::of_bodies(&reached, final_state(plan, &bodies, &last));
+        let stopped = match ending {
+            Ending::Stopped(number) => stopped(plan, number, time_s),
+            _ => None,
+        };
         let end = End {
             outcome,
             reached,
-            ends_s: None,
+            ends_s: Some(time_s),
             diagnosis,
-            stopped: None,
+            stopped,
             ensemble: None,
             energy,
         };
@@ -115,7 +122,7 @@ impl BodiesTask for LeftBodies<'_> {
 }
 
 /// Returns the last state of each body, by name.
-fn final_state<const N: usize>(
+pub(super) fn final_state<const N: usize>(
     plan: &Plan,
     bodies: &Bodies<N>,
     state: &BodiesState<N>,
@@ -132,7 +139,7 @@ fn final_state<const N: usize>(
 }
 
 /// Returns the energy at the start and at the end, where it is not logged.
-fn energy_at_the_ends<const N: usize>(
+pub(super) fn energy_at_the_ends<const N: usize>(
     bodies: &Bodies<N>,
     start: &BodiesState<N>,
     end: &BodiesState<N>,
@@ -170,7 +177,7 @@ impl<const N: usize> Sink<N> for Several<'_> {
                 let &Sample { time_s, energy_error, orthogonality_error, .. } = sample;
                 let course = &mut recorder.course;
                 note_errors(course, epoch_ns, time_s, energy_error, orthogonality_error);
-                let result = writer.record_bodies(sample);
+                let result = writer.record_bodies(0, sample);
                 recorder.control.note_durable(writer);
                 result
             }
@@ -191,7 +198,7 @@ impl<const N: usize> Sink<N> for Several<'_> {
 
 /// Returns a smaller step that was tried from the start past the time at which a step failed: halved until one works, and then
 /// longer again as far as it still does.
-fn advised<const N: usize>(
+pub(super) fn advised<const N: usize>(
     bodies: &Bodies<N>,
     stepper: &mut dyn BodiesStepper<N>,
     way: &Course<'_, N>,
@@ -243,7 +250,7 @@ fn advised<const N: usize>(
 
 impl Patience {
     /// Returns counts that end where the limits are.
-    fn work(&self) -> Work {
+    pub(super) fn work(&self) -> Work {
         Work::limited(self.most_sweeps, self.stop.clone())
     }
 }

@@ -4,16 +4,12 @@
 //! Invariant: the log depends neither on the threads nor on which members run together. The end of each member stands in it
 //! once, and one whose end is in a whole chunk is not run again.
 
-use std::convert::Infallible;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{
-    Asked, Control, End, JobContext, Reached, RunError, begin_log, finish, header, json, note,
-};
-use crate::assemble::{Assembly, Task, assembled};
+use super::{Asked, Control, End, JobContext, Reached, RunError, begin_log, finish, header};
+use crate::assemble::{Assembly, BodiesAssembly, BodiesTask, Task, assembled, assembled_bodies};
 use crate::in_order::{Turns, cores, in_order};
 use crate::log::LogError;
 use crate::log::course::Course;
@@ -23,21 +19,69 @@ use crate::log::schema::Channel;
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::plan::{EnsemblePlan, Plan};
 use crate::scenario;
-use crate::solve::ensemble;
-use crate::solve::lanes::WIDTH;
-use crate::solve::so::Mat;
-use crate::solve::state::{Checkpoint, State};
-use crate::solve::trajectory::{Ending, Observables, Sample, Schedule, Trajectory};
-use crate::study::spread;
+use crate::solve::trajectory::Schedule;
 
+mod one;
+mod several;
 mod statistics;
 mod way;
 
-use statistics::{Ends, Spread};
-use way::Way;
+use statistics::{Ends, Place, Spreads};
 
 /// Outcome of a member that made all its steps, or was stopped by a condition.
 const SUCCEEDED: &str = "succeeded";
+
+/// What carries members: a body, or several, with their steppers.
+pub(super) trait Crew<const N: usize> {
+    /// Members that it carries side by side, if they are not logged.
+    const ABREAST: u64;
+
+    /// Returns where a member starts.
+    fn start(&self, asked: &scenario::Ensemble, member: u64) -> Place<N>;
+
+    /// Carries the members whose samples are logged from start to end; `None` if that was stopped.
+    fn in_full(
+        &mut self,
+        ensemble: &Ensemble<'_>,
+        logged: &mut Logged<'_>,
+    ) -> Result<Option<Vec<Member>>, RunError>;
+
+    /// Carries other members from start to end, at most [`Self::ABREAST`]; `None` if that was stopped. `go_on` is asked before
+    /// each step.
+    fn others(
+        &mut self,
+        ensemble: &Ensemble<'_>,
+        numbers: &[u64],
+        go_on: impl FnMut(u64) -> bool,
+    ) -> Option<Vec<Member>>;
+
+    /// Returns what member 0 reached, and its energy at the start and at the end.
+    fn reached(&self, plan: &Plan, nominal: Option<&Member>) -> (Reached, Option<EnergySeen>);
+}
+
+/// Where the samples of members go.
+pub(super) struct Logged<'a> {
+    log: &'a mut LogWriter,
+    /// Chart data of member 0.
+    course: &'a mut Course,
+    header: &'a LogHeader,
+}
+
+impl Logged<'_> {
+    /// Takes a sample by `write`.
+    fn sample(
+        &mut self,
+        ensemble: &Ensemble<'_>,
+        write: impl FnOnce(&mut LogWriter) -> Result<(), LogError>,
+    ) -> Result<(), RunError> {
+        write(self.log)?;
+        if self.log.wants_checkpoint() {
+            // No run resumes from here: these members are few, and begin again.
+            ensemble.checkpoint(self.log, 0)?;
+        }
+        Ok(())
+    }
+}
 
 /// A run of an ensemble that writes its log.
 #[derive(Clone, Copy)]
@@ -49,27 +93,26 @@ pub(super) struct Ensemble<'a> {
 }
 
 impl Ensemble<'_> {
-    pub(super) fn run<const N: usize>(
-        self,
-        mut assembly: Assembly<N>,
-    ) -> Result<Summary, RunError> {
+    pub(super) fn run<const N: usize, C: Crew<N>>(self, mut crew: C) -> Result<Summary, RunError> {
         let begun = Instant::now();
         let Self { plan, asked, planned, context } = self;
         let JobContext { log: path, control } = *context;
         let header = header(plan);
-        let (mut log, mut ends, mut course) = open::<N>(context, &header)?;
+        let bodies: Vec<String> = plan.bodies.iter().map(|body| body.name.clone()).collect();
+        let (mut log, mut ends, mut course) = open::<N>(context, &header, &bodies)?;
         let resumed_step = ends.count() * plan.steps;
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
         control.steps_done.store(resumed_step, Ordering::Relaxed);
         if ends.count() == 0 {
             if plan.logs(Channel::EnsembleStatistics) {
-                let mut starts = Spread::default();
+                let mut starts = Spreads::<N>::default();
                 for m in 0..planned.members {
-                    starts.add(&spread::start(&assembly.initial, asked, m));
+                    starts.add(&crew.start(asked, m));
                 }
-                log.statistics(&starts.statistics())?;
+                log.statistics(&starts.statistics(&bodies))?;
             }
-            if let Some(members) = self.in_full(&mut assembly, &mut log, &header, &mut course)? {
+            let mut logged = Logged { log: &mut log, course: &mut course, header: &header };
+            if let Some(members) = crew.in_full(&self, &mut logged)? {
                 for end in members {
                     self.ended(&mut log, &mut ends, end)?;
                 }
@@ -77,7 +120,7 @@ impl Ensemble<'_> {
             }
         }
         if !control.stopped() {
-            self.others(&mut log, &mut ends)?;
+            self.others::<N>(C::ABREAST, &mut log, &mut ends)?;
         }
         if control.interrupted.load(Ordering::Relaxed) {
             log.leave();
@@ -98,18 +141,16 @@ impl Ensemble<'_> {
         };
         let nominal = ends.nominal();
         let figures = nominal.and_then(|end| end.figures).unwrap_or_default();
-        let reached = reached(&assembly.initial, nominal);
-        let first = nominal.and_then(|end| end.initial.as_ref()?.point());
-        let first = first.unwrap_or_else(|| reached.state());
-        let ends_s = nominal.and_then(|end| Some(end.last.as_ref()?.time_s));
+        let (reached, energy) = crew.reached(plan, nominal);
+        let ends_s = nominal.and_then(Member::end_s);
         let stopped =
             nominal.and_then(|end| super::stopped(plan, end.stopped_by? as usize, ends_s?));
         let end = End {
             stopped,
             ends_s,
             outcome,
-            energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
-            reached: Reached::from(&reached),
+            energy,
+            reached,
             diagnosis: nominal
                 .and_then(|end| serde_json::from_slice(end.diagnosis.as_bytes()).ok()),
             ensemble: Some(ensemble),
@@ -130,41 +171,10 @@ impl Ensemble<'_> {
         Schedule { step_s, steps, every }
     }
 
-    /// Runs the members whose samples are logged; `None` if that was stopped.
-    fn in_full<const N: usize>(
-        &self,
-        assembly: &mut Assembly<N>,
-        log: &mut LogWriter,
-        header: &LogHeader,
-        course: &mut Course,
-    ) -> Result<Option<Vec<Member>>, RunError> {
-        let JobContext { control, .. } = *self.context;
-        let numbers = &self.planned.in_full;
-        let epoch_ns = header.epoch_ns;
-        #[cfg(feature = "live")]
-        let show = super::show(control, header);
-        let record = |m: usize, sample: &Sample<N>| {
-            if m == 0 {
-                note(course, epoch_ns, sample);
-                #[cfg(feature = "live")]
-                if let Some(show) = &show {
-                    show.sample(sample);
-                }
-            }
-            log.record_member(numbers[m], sample)?;
-            if log.wants_checkpoint() {
-                // No run resumes from here: these members are few, and begin again.
-                self.checkpoint(log, 0)?;
-            }
-            Ok::<(), RunError>(())
-        };
-        let go_on = |steps| control.go_on(steps * numbers.len() as u64);
-        self.travel(assembly, numbers, self.plan.observables(), record, go_on)
-    }
-
     /// Runs the members that have not ended yet, and writes their ends in their order.
     fn others<const N: usize>(
         &self,
+        abreast: u64,
         log: &mut LogWriter,
         ends: &mut Ends<N>,
     ) -> Result<(), RunError> {
@@ -172,9 +182,16 @@ impl Ensemble<'_> {
         let mut open = 0;
         in_order(
             0..left.len() as u64,
-            WIDTH as u64,
+            abreast,
             cores(),
-            |turns| assembled(self.plan, Worker { ensemble: self, left: &left, turns }),
+            |turns| {
+                let worker = Worker { ensemble: self, left: &left, turns };
+                if self.plan.bodies.is_empty() {
+                    assembled(self.plan, worker)
+                } else {
+                    assembled_bodies(self.plan, worker)
+                }
+            },
             |group: Vec<Member>| {
                 for end in group {
                     self.ended(log, ends, end)?;
@@ -203,112 +220,21 @@ impl Ensemble<'_> {
 
     /// Closes the chunk after `ends` ends: an interrupted run resumes from there.
     fn checkpoint(&self, log: &mut LogWriter, ends: u64) -> Result<(), LogError> {
+        let zeros = vec![0.0; self.plan.dimension.pow(2)];
+        // A log takes checkpoints that could be of its bodies.
+        let (body_momentum, numbers) =
+            if self.plan.bodies.is_empty() { (zeros, Vec::new()) } else { (Vec::new(), zeros) };
         let checkpoint = messages::Checkpoint {
             step: ends * self.plan.steps,
             samples: log.samples(),
-            body_momentum: vec![0.0; self.plan.dimension.pow(2)],
+            body_momentum,
+            numbers,
             figures: Some(Figures::default()),
             ..messages::Checkpoint::default()
         };
         log.checkpoint(&checkpoint)?;
         self.context.control.note_durable(log);
         Ok(())
-    }
-
-    /// Carries members from start to end, side by side; `None` if that was stopped.
-    fn travel<const N: usize, E>(
-        &self,
-        assembly: &mut Assembly<N>,
-        numbers: &[u64],
-        observables: Observables,
-        mut record: impl FnMut(usize, &Sample<N>) -> Result<(), E>,
-        go_on: impl FnMut(u64) -> bool,
-    ) -> Result<Option<Vec<Member>>, E> {
-        let nominal = &assembly.initial;
-        let starts: Vec<State<N>> =
-            numbers.iter().map(|&m| spread::start(nominal, self.asked, m)).collect();
-        let mut figures = vec![Figures::default(); numbers.len()];
-        let per_point = self.planned.samples_per_waypoint(self.plan.samples);
-        let mut ways = vec![Way::new(per_point); numbers.len()];
-        let mut velocities = vec![None; numbers.len()];
-        let members = assembly.members.as_mut().expect("the plan of an ensemble has members");
-        members.set_numbers(numbers);
-        let trajectories = ensemble::integrate(
-            &assembly.body,
-            members.as_mut(),
-            &starts,
-            self.schedule(),
-            observables,
-            |m, sample| {
-                figures[m].keep(sample);
-                ways[m].keep(sample);
-                velocities[m] = sample.angular_velocity;
-                record(m, sample)
-            },
-            go_on,
-        )?;
-        if trajectories.iter().any(|end| end.ending == Ending::Cancelled) {
-            return Ok(None);
-        }
-        let ends = trajectories.iter().zip(figures).zip(ways).enumerate();
-        let ends = ends.map(|(m, ((end, figures), way))| {
-            assembly.stepper.set_member(numbers[m]);
-            let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
-            let begun = assembly.body.velocity(&starts[m].momentum);
-            let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
-                &end.reached;
-            Member {
-                member: numbers[m],
-                outcome,
-                steps: *step,
-                initial: Some(messages::State::at(
-                    0.0,
-                    Some(&starts[m].attitude),
-                    &starts[m].momentum,
-                    Some(&begun),
-                )),
-                last: Some(messages::State::at(
-                    end.time_s,
-                    attitude.as_ref(),
-                    momentum,
-                    velocities[m].as_ref(),
-                )),
-                figures: Some(figures),
-                samples: *samples,
-                iterations: *iterations,
-                solver: convergence.map(Into::into),
-                diagnosis,
-                way: Some(way.points()),
-                stopped_by: match end.ending {
-                    Ending::Stopped(number) => u32::try_from(number).ok(),
-                    _ => None,
-                },
-            }
-        });
-        let ends = ends.collect();
-        // A search for a smaller step that was stopped has no result.
-        let searched = trajectories.iter().any(|end| matches!(end.ending, Ending::Failed(_)));
-        Ok(if searched && self.context.control.stopped() { None } else { Some(ends) })
-    }
-
-    /// Returns how a member ended, and its diagnosis if it failed.
-    fn outcome<const N: usize>(
-        &self,
-        assembly: &mut Assembly<N>,
-        initial: &State<N>,
-        end: &Trajectory<N>,
-    ) -> (String, String) {
-        let Ending::Failed(failure) = &end.ending else {
-            return (SUCCEEDED.to_owned(), String::new());
-        };
-        let schedule = self.schedule();
-        let asked = Some(&self.plan.asked);
-        let broken = Broken { initial, reached: &end.reached, schedule, asked, failure };
-        let patience = Patience::of(self.plan, self.context.control, self.planned.members);
-        let stepper = assembly.stepper.as_mut();
-        let own_steps = advice::own_steps(self.plan, &assembly.body);
-        let diagnosis = advice::diagnosis(&assembly.body, stepper, &broken, own_steps, patience);
-        (diagnosis.code.clone(), json(&diagnosis))
     }
 }
 
@@ -320,30 +246,35 @@ struct Worker<'a> {
     turns: &'a Turns<'a, Vec<Member>>,
 }
 
-impl Task for Worker<'_> {
-    type Output = Option<()>;
-
-    fn perform<const N: usize>(self, mut assembly: Assembly<N>) -> Option<()> {
+impl Worker<'_> {
+    fn work<const N: usize>(self, mut crew: impl Crew<N>) -> Option<()> {
         let Self { ensemble, left, turns } = self;
         let control: &Control = ensemble.context.control;
-        // The singular values of a member that is not logged in full are not needed.
-        let observables = Observables { sigma_min: false, ..ensemble.plan.observables() };
         while let Some(places) = turns.take() {
             let group = &left[places.start as usize..places.end as usize];
-            let travelled = ensemble.travel(
-                &mut assembly,
-                group,
-                observables,
-                |_, _| Ok::<(), Infallible>(()),
-                |_| {
-                    control.steps_done.fetch_add(group.len() as u64, Ordering::Relaxed);
-                    !control.stopped() && !turns.is_closed()
-                },
-            );
-            let Ok(ends) = travelled;
+            let ends = crew.others(ensemble, group, |_| {
+                control.steps_done.fetch_add(group.len() as u64, Ordering::Relaxed);
+                !control.stopped() && !turns.is_closed()
+            });
             turns.give(places, ends?)?;
         }
         Some(())
+    }
+}
+
+impl Task for Worker<'_> {
+    type Output = Option<()>;
+
+    fn perform<const N: usize>(self, assembly: Assembly<N>) -> Option<()> {
+        self.work(assembly)
+    }
+}
+
+impl BodiesTask for Worker<'_> {
+    type Output = Option<()>;
+
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Option<()> {
+        self.work(assembly)
     }
 }
 
@@ -352,8 +283,9 @@ impl Task for Worker<'_> {
 fn open<const N: usize>(
     context: &JobContext<'_>,
     header: &LogHeader,
+    bodies: &[String],
 ) -> Result<(LogWriter, Ends<N>, Course), LogError> {
-    let (mut course, mut ends) = (Course::default(), Ends::default());
+    let (mut course, mut ends) = (Course::default(), Ends::none(bodies));
     let mut seen = |seen: Seen<'_>| match seen {
         Seen::Member(end) => ends.add(*end),
         seen => course.note_seen(&seen),
@@ -364,26 +296,5 @@ fn open<const N: usize>(
     {
         return Ok((log, ends, course));
     }
-    Ok((begin_log(context, header)?, Ends::default(), Course::default()))
-}
-
-/// Returns the state that member 0 reached, from `initial`.
-fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Checkpoint<N> {
-    let last = nominal.and_then(|end| end.last.as_ref()?.point());
-    let State { attitude, momentum } = last.unwrap_or_else(|| initial.clone());
-    Checkpoint {
-        step: nominal.map_or(0, |end| end.steps),
-        samples: nominal.map_or(0, |end| end.samples),
-        attitude: Some(attitude),
-        momentum,
-        iterations: nominal.map_or(0, |end| end.iterations),
-        convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
-        work: 0.0,
-        impulse: Mat::zeros(),
-        table_impulse: 0.0,
-        own_time: None,
-        control: None,
-        holds_since_s: Vec::new(),
-        derivatives: None,
-    }
+    Ok((begin_log(context, header)?, Ends::none(bodies), Course::default()))
 }

@@ -176,6 +176,23 @@ pub struct EnsembleSummary {
     /// Largest distance of any of them from the group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orthogonality_max: Option<f64>,
+    /// Spread of each of several bodies at the end, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub bodies: BTreeMap<String, BodySpread>,
+}
+
+/// Spread of one of several bodies over the members of an ensemble.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BodySpread {
+    /// Root mean square of the angles between the attitudes and their mean, in radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attitude_spread_rad: Option<f64>,
+    /// Standard deviation of each component of the body momentum.
+    pub body_momentum_deviation: Vec<f64>,
+    /// Standard deviation of each component of the centre of mass, in m.
+    pub position_deviation_m: Vec<f64>,
+    /// Standard deviation of each component of its velocity, in m/s.
+    pub velocity_deviation_m_s: Vec<f64>,
 }
 
 /// The state a run ended at.

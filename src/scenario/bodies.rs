@@ -14,8 +14,8 @@ use super::range::{
     strength,
 };
 use super::{
-    Attitude, Framed, Inertia, Initial, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
-    Scene, SolverKind, Steps,
+    Attitude, DistanceLimit, Framed, Inertia, Initial, Method, MethodName, PotentialTerm, Scenario,
+    ScenarioError, Scene, SolverKind, Steps, Stop,
 };
 use crate::log::schema::BodyName;
 use crate::method::Integrator;
@@ -271,8 +271,6 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(wheels.is_some(), "/scene/wheels", only_one)?;
     absent(control.is_some(), "/scene/control", only_one)?;
     absent(field.is_some(), "/scene/field", only_one)?;
-    absent(scenario.ensemble.is_some(), "/ensemble", only_one)?;
-    absent(!scenario.until.is_empty(), "/until", only_one)?;
     absent(scenario.pointing.is_some(), "/pointing", only_one)?;
     absent(scenario.derivatives.is_some(), "/derivatives", only_one)?;
     let adaptive = matches!(scenario.step, Some(Steps::Adaptive(_)));
@@ -313,6 +311,12 @@ impl Bodies {
     /// Returns the number of the body with a name.
     pub fn number(&self, name: &str) -> Option<usize> {
         self.bodies.iter().position(|body| body.name == name)
+    }
+
+    /// Returns the bodies that move freely.
+    pub fn free(&self) -> impl Iterator<Item = &Body> {
+        let is_held = |body: &Body| self.joints.iter().any(|joint| joint.between[1] == body.name);
+        self.bodies.iter().filter(move |body| body.pivot.is_none() && !is_held(body))
     }
 
     /// Returns for each body the number of the joint that holds it at its parent.
@@ -381,13 +385,68 @@ impl Bodies {
     }
 
     /// Returns the number of a body, whose name stands at `pointer`.
-    fn known(&self, pointer: &str, name: &str) -> Result<usize, ScenarioError> {
+    pub(crate) fn known(&self, pointer: &str, name: &str) -> Result<usize, ScenarioError> {
         self.number(name).ok_or_else(|| {
             let near = nearest(name, self.bodies.iter().map(|body| body.name.as_str()));
             let near = near.map(|near| format!("; did you mean `{near}`?")).unwrap_or_default();
             let message = format!("`{name}` given, but no body has that name{near}");
             ScenarioError::invalid(pointer, message)
         })
+    }
+
+    /// Checks a condition that ends the run, but for its limits of one body.
+    pub(super) fn check_stop(&self, at: &str, stop: &Stop, n: usize) -> Check {
+        ensure(
+            stop.pointing_error_below_rad.is_none(),
+            format!("{at}/pointing_error_below_rad"),
+            || "is for scenes of one body, whose control has a target".to_owned(),
+        )?;
+        let of_one = stop.rate_below_rad_s.is_some() || stop.angle_above_rad.is_some();
+        let pointer = format!("{at}/body");
+        match &stop.body {
+            Some(body) => {
+                ensure(of_one, &pointer, || {
+                    "is given, but the condition is not that of one body".to_owned()
+                })?;
+                self.known(&pointer, body)?;
+            }
+            None => ensure(!of_one, at, || {
+                "missing field `body`, the name of that whose condition it is".to_owned()
+            })?,
+        }
+        let limits = [
+            ("distance_below_m", &stop.distance_below_m),
+            ("distance_above_m", &stop.distance_above_m),
+        ];
+        for (field, limit) in limits {
+            let Some(DistanceLimit { distance_m, between, points: given }) = limit else {
+                continue;
+            };
+            let at = format!("{at}/{field}");
+            self.check_between(&at, between, given.as_ref(), n)?;
+            let pointer = format!("{at}/distance_m");
+            number(&pointer, *distance_m)?;
+            size(&pointer, [distance_m])?;
+            ensure(*distance_m > 0.0, pointer, || {
+                format!("{distance_m:?} given, a distance above 0 is needed")
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Checks the names of two bodies, or of one and of space, and the points of them whose distance is looked at.
+    pub(crate) fn check_between(
+        &self,
+        at: &str,
+        between: &[String; 2],
+        given: Option<&[Vec<f64>; 2]>,
+        n: usize,
+    ) -> Check {
+        for (i, name) in between.iter().enumerate().filter(|(_, name)| *name != SPACE) {
+            self.known(&format!("{at}/between/{i}"), name)?;
+        }
+        Self::different(at, between)?;
+        given.map_or(Ok(()), |given| points(at, given, n))
     }
 
     fn different(at: &str, between: &[String; 2]) -> Check {

@@ -35,9 +35,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     super::steps::check(scenario)?;
     duration(scenario)?;
     if let Some(given) = &scenario.ensemble {
-        let control = scenario.scene.control.as_ref();
-        let has_noise = control.is_some_and(|control| control.noise.is_some());
-        given.check(scenario.step_count(), has_noise)?;
+        given.check(scenario)?;
     }
     super::control::stops(scenario, n)?;
     scenario.pointing.as_ref().map_or(Ok(()), |pointing| pointing.check(scenario, n))?;

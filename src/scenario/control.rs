@@ -250,6 +250,9 @@ pub struct Pointing {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
+    /// Several bodies: the name of that whose rate or angle it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<String>,
     /// The angle to the target of the control is below this, in rad.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pointing_error_below_rad: Option<f64>,
@@ -262,6 +265,12 @@ pub struct Stop {
     /// The size of the energy error is above this, in J.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy_error_above_j: Option<f64>,
+    /// Several bodies: the distance of two points is below a limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_below_m: Option<DistanceLimit>,
+    /// Several bodies: the distance of two points is above a limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_above_m: Option<DistanceLimit>,
     /// For how long it must hold, in s; 0 if absent.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub for_s: f64,
@@ -281,16 +290,36 @@ pub struct AngleAbove {
     pub from: Option<Attitude>,
 }
 
+/// A distance of two bodies, or of points of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DistanceLimit {
+    /// The limit in m.
+    pub distance_m: f64,
+    /// Names of the bodies; one may be `space`, which does not move.
+    pub between: [String; 2],
+    /// A point of each, in its body's coordinates, for `space` a point of space; if absent the centres of mass, of a pinned body
+    /// its pivot, of space the origin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub points: Option<[Vec<f64>; 2]>,
+}
+
 impl fmt::Display for Stop {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let of = self.body.as_ref().map_or_else(String::new, |body| format!(" of {body}"));
+        for (limit, is) in [(&self.distance_below_m, "below"), (&self.distance_above_m, "above")] {
+            if let Some(DistanceLimit { distance_m, between: [one, other], .. }) = limit {
+                write!(f, "distance of {one} and {other} {is} {distance_m} m")?;
+            }
+        }
         if let Some(angle) = self.pointing_error_below_rad {
             write!(f, "pointing error below {angle} rad")?;
         }
         if let Some(rate) = self.rate_below_rad_s {
-            write!(f, "rate below {rate} rad/s")?;
+            write!(f, "rate{of} below {rate} rad/s")?;
         }
         if let Some(above) = &self.angle_above_rad {
-            write!(f, "angle above {} rad", above.angle_rad)?;
+            write!(f, "angle{of} above {} rad", above.angle_rad)?;
         }
         if let Some(energy) = self.energy_error_above_j {
             write!(f, "energy error above {energy} J")?;
@@ -549,14 +578,25 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
             stop.rate_below_rad_s.is_some(),
             stop.angle_above_rad.is_some(),
             stop.energy_error_above_j.is_some(),
+            stop.distance_below_m.is_some(),
+            stop.distance_above_m.is_some(),
         ];
         let given = given.into_iter().filter(|&given| given).count();
         ensure(given == 1, &at, || {
-            format!(
-                "{given} conditions given, one of `pointing_error_below_rad`, `rate_below_rad_s`, `angle_above_rad`, \
-                 `energy_error_above_j` is needed"
-            )
+            let which = match scenario.bodies() {
+                None => {
+                    "`pointing_error_below_rad`, `rate_below_rad_s`, `angle_above_rad`, `energy_error_above_j`"
+                }
+                Some(_) => {
+                    "`rate_below_rad_s`, `angle_above_rad`, `energy_error_above_j`, `distance_below_m`, `distance_above_m`"
+                }
+            };
+            format!("{given} conditions given, one of {which} is needed")
         })?;
+        match scenario.bodies() {
+            Some(bodies) => bodies.check_stop(&at, stop, n)?,
+            None => only_of_several(&at, stop)?,
+        }
         limit(&format!("{at}/pointing_error_below_rad"), stop.pointing_error_below_rad, false)?;
         limit(&format!("{at}/rate_below_rad_s"), stop.rate_below_rad_s, false)?;
         limit(&format!("{at}/energy_error_above_j"), stop.energy_error_above_j, true)?;
@@ -577,6 +617,20 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
         })?;
     }
     Ok(())
+}
+
+/// Refuses what several bodies have alone.
+fn only_of_several(at: &str, stop: &Stop) -> Check {
+    let given = [
+        ("body", stop.body.is_some()),
+        ("distance_below_m", stop.distance_below_m.is_some()),
+        ("distance_above_m", stop.distance_above_m.is_some()),
+    ];
+    given.into_iter().try_for_each(|(field, given)| {
+        ensure(!given, format!("{at}/{field}"), || {
+            "is for scenes of several bodies, this one has one".to_owned()
+        })
+    })
 }
 
 pub(super) fn plane(at: &str, from: &[f64; 3], towards: &[f64; 3]) -> Check {

@@ -22,7 +22,7 @@ use crate::chart::{ChartError, draw_log};
 use crate::log::LAYOUT;
 use crate::log::course::LogChart;
 use crate::log::members::{self, Members};
-use crate::log::messages::State;
+use crate::log::messages::Member;
 use crate::log::samples::{Curve, Samples, Window, read_course};
 use crate::log::stretch::{self, Stretch};
 use crate::log::{LogError, part_path};
@@ -266,9 +266,13 @@ impl Pictures {
         self.read(path, move |file, stopped| members::read_members(file, wanted, stopped)).await
     }
 
-    /// Returns the start of a member of an ensemble; `None` if it has not ended, or there is none.
-    pub(super) async fn start(&self, path: PathBuf, member: u64) -> Result<Option<State>, Problem> {
-        self.read(path, move |file, stopped| members::read_start(file, member, stopped)).await
+    /// Returns how a member of an ensemble began and ended; `None` if it has not ended, or there is none.
+    pub(super) async fn member(
+        &self,
+        path: PathBuf,
+        member: u64,
+    ) -> Result<Option<Member>, Problem> {
+        self.read(path, move |file, stopped| members::read_member(file, member, stopped)).await
     }
 
     /// Reads something from a log in its turn; `None` if there is no file.

@@ -314,10 +314,10 @@ pub(crate) fn measure(
     let plan = variant(scene, probe.method, probe.step_s, probe.steps)?;
     let sweep_ns = plan.sweep_cost_ns();
     let most_sweeps = (watch.left_ns() as f64 / sweep_ns).ceil() as u64;
+    let ensemble = scene.ensemble.as_ref();
     let mut run = if scene.bodies().is_some() {
-        assembled_bodies(&plan, bodies::Measurement { probe, watch, most_sweeps })
+        assembled_bodies(&plan, bodies::Measurement { probe, ensemble, watch, most_sweeps })
     } else {
-        let ensemble = scene.ensemble.as_ref();
         let mut run = assembled(&plan, Measurement { probe, ensemble, watch, most_sweeps });
         let time_s = probe.step_s * probe.steps as f64;
         let hardly = HARDLY / (plan.model.kinetic.mobility() * time_s);

@@ -282,6 +282,9 @@ pub(crate) enum Combine {
 pub(crate) struct Score {
     /// Its head: 1 to 64 letters, digits or `_`.
     pub(crate) name: String,
+    /// Several bodies: the name of that whose tilt or angular speed it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) body: Option<String>,
     /// Content of the column.
     pub(crate) measure: Measure,
 }
@@ -310,8 +313,10 @@ pub(crate) enum Quantity {
     Tilt(Tilt),
     /// The size of the angular velocity, in rad/s.
     AngularSpeed,
-    /// The kinetic energy, in J.
+    /// The kinetic energy, in J; of several bodies that of all.
     KineticEnergy,
+    /// Several bodies: the distance of two of them, or of points of them, in m.
+    Distance(Separation),
     /// The angle between an axis of the body and its direction, in radians: see `pointing` of the scenario.
     AxisError,
 }
@@ -324,6 +329,18 @@ pub(crate) struct Tilt {
     pub(crate) body_axis: Vec<f64>,
     /// In space coordinates.
     pub(crate) space_axis: Vec<f64>,
+}
+
+/// Two bodies, or points of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Separation {
+    /// Names of the bodies; one may be `space`, which does not move.
+    pub(crate) between: [String; 2],
+    /// A point of each, in its body's coordinates, for `space` a point of space; if absent the centres of mass, of a pinned body
+    /// its pivot, of space the origin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) points: Option<[Vec<f64>; 2]>,
 }
 
 /// A quantity beyond a limit: either `above` or `below`.
@@ -381,11 +398,21 @@ impl Quantity {
 
 impl Measure {
     /// Returns the quantity that is looked at, if it is one.
-    fn quantity(&self) -> Option<&Quantity> {
+    pub(super) fn quantity(&self) -> Option<&Quantity> {
         match self {
             Self::Largest(quantity) | Self::Smallest(quantity) => Some(quantity),
             Self::FirstTime(condition) => Some(&condition.of),
             Self::LyapunovExponent(_) => None,
+        }
+    }
+
+    /// Returns the pointer of its quantity, from its own.
+    fn path(&self) -> &'static str {
+        match self {
+            Self::Largest(_) => "/largest",
+            Self::Smallest(_) => "/smallest",
+            Self::FirstTime(_) => "/first_time/of",
+            Self::LyapunovExponent(_) => "/lyapunov_exponent",
         }
     }
 
@@ -464,7 +491,7 @@ impl SweepFile {
         }
         for (at, score) in scores.iter().enumerate() {
             let at = format!("/scores/{at}");
-            let Score { name, measure } = score;
+            let Score { name, measure, .. } = score;
             self::name(&format!("{at}/name"), name)?;
             ensure(heads.insert(name), format!("{at}/name"), || {
                 format!("there is already a column {name}")
@@ -486,6 +513,50 @@ impl SweepFile {
         ensure(keep_logs.len() <= MOST_LOGS, "/keep_logs", || {
             format!("{} members given, at most {MOST_LOGS} are allowed", keep_logs.len())
         })
+    }
+
+    /// Checks of which bodies of a scenario the scores are.
+    pub(super) fn check_bodies(&self, base: &Scenario) -> Result<(), ScenarioError> {
+        for (at, Score { body, measure, .. }) in self.scores.iter().enumerate() {
+            let at = format!("/scores/{at}");
+            let refused = |field: &str, message: &str| {
+                Err(ScenarioError::invalid(format!("{at}/{field}"), message))
+            };
+            let Some(scene) = base.bodies() else {
+                let message = "is for scenes of several bodies, this one has one";
+                return match (body, measure.quantity()) {
+                    (Some(_), _) => refused("body", message),
+                    (None, Some(Quantity::Distance(_))) => refused("measure", message),
+                    _ => continue,
+                };
+            };
+            let of_one = match measure.quantity() {
+                Some(Quantity::Tilt(_) | Quantity::AngularSpeed) => true,
+                Some(Quantity::KineticEnergy) => false,
+                Some(Quantity::Distance(Separation { between, points })) => {
+                    let at = format!("{at}/measure{}/distance", measure.path());
+                    scene.check_between(&at, between, points.as_ref(), base.dimension())?;
+                    false
+                }
+                Some(Quantity::AxisError) | None => {
+                    return refused("measure", "is for scenes of one body");
+                }
+            };
+            match body {
+                Some(body) if of_one => {
+                    scene.known(&format!("{at}/body"), body)?;
+                }
+                Some(_) => {
+                    return refused("body", "is given, but the measure is not that of one body");
+                }
+                None if of_one => {
+                    let message = "missing field `body`, the name of that whose measure it is";
+                    return Err(ScenarioError::invalid(at, message));
+                }
+                None => {}
+            }
+        }
+        Ok(())
     }
 
     /// Refuses scores of where the body points if the scenario does not say relative to what.

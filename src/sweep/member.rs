@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::file::{Measure, Score};
-use super::score::{Shadow, Tally};
+use super::score::{BodiesTally, Shadow, Tally};
 use crate::advise::Settled;
 use crate::assemble::{Assembly, BodiesAssembly, BodiesTask, Task, assembled, assembled_bodies};
 use crate::log::messages::{Figures, quaternion};
@@ -152,16 +152,18 @@ impl BodiesTask for Member<'_> {
     type Output = Option<Outcome>;
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Option<Outcome> {
-        let Self { plan, stop, .. } = self;
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let Self { plan, scores, stop } = self;
+        let BodiesAssembly { bodies, mut stepper, initial, .. } = assembly;
         let bodies = bodies.watched(Work::limited(u64::MAX, stop.clone()));
-        let figures = Figures::default();
-        let mut seen = SeveralSeen { figures, until_checkpoint: plan.samples_per_chunk, plan };
+        let scene = plan.settled.bodies();
+        let tallies = scene.map(|scene| BodiesTally::<N>::all(scores, scene)).unwrap_or_default();
+        let (figures, until_checkpoint) = (Figures::default(), plan.samples_per_chunk);
+        let mut seen = SeveralSeen { figures, tallies, until_checkpoint, plan };
         let Plan { step_s, steps, every, .. } = *plan;
         let way = of_bodies::Course { initial: &initial, checkpoint: None, step_s, steps, every };
         let go_on = |_| !stop.load(Ordering::Relaxed);
         let end = of_bodies::integrate(&bodies, stepper.as_mut(), way, &mut seen, go_on);
-        let Ok(of_bodies::Trajectory { ending, reached }) = end;
+        let Ok(of_bodies::Trajectory { ending, reached, time_s }) = end;
         let last = initial.with_numbers(&reached.numbers).unwrap_or(initial);
         let of_body = |body: of_bodies::BodySample<N>| {
             let turned = entries(&body.attitude).into_iter().chain(so::vee(&body.momentum));
@@ -170,27 +172,29 @@ impl BodiesTask for Member<'_> {
             turned.chain(moved).map(Some).collect::<Vec<_>>()
         };
         let row = Row {
-            time_s: reached.step as f64 * step_s,
+            time_s,
             state: bodies.seen(&last).unwrap_or_default().into_iter().flat_map(of_body).collect(),
             figures: seen.figures,
-            scores: Vec::new(),
+            scores: seen.tallies.iter().map(BodiesTally::value).collect(),
         };
         outcome(&ending, row)
     }
 }
 
 /// Takes the samples of a run of several bodies.
-struct SeveralSeen<'a> {
+struct SeveralSeen<'a, const N: usize> {
     figures: Figures,
+    tallies: Vec<BodiesTally<'a, N>>,
     until_checkpoint: u64,
     plan: &'a Plan,
 }
 
-impl<const N: usize> of_bodies::Sink<N> for SeveralSeen<'_> {
+impl<const N: usize> of_bodies::Sink<N> for SeveralSeen<'_, N> {
     type Error = Infallible;
 
     fn record(&mut self, sample: &of_bodies::Sample<N>) -> Result<(), Infallible> {
         self.figures.keep_bodies(sample);
+        self.tallies.iter_mut().for_each(|tally| tally.note(sample));
         self.until_checkpoint = self.until_checkpoint.saturating_sub(1);
         Ok(())
     }

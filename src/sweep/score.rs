@@ -4,7 +4,11 @@ use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::file::{Condition, Lyapunov, Measure, Quantity, Score, Tilt};
+use super::file::{Condition, Lyapunov, Measure, Quantity, Score, Separation, Tilt};
+use crate::plan::bodies::sites;
+use crate::scenario::Bodies;
+use crate::solve::bodies::trajectory as bodies;
+use crate::solve::bodies::{Site, distance};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
 use crate::solve::state::State;
@@ -13,45 +17,23 @@ use crate::solve::trajectory::Sample;
 
 /// A score during a run.
 pub(super) enum Tally<'a, const N: usize> {
-    Largest(Gauge<N>, Option<f64>),
-    Smallest(Gauge<N>, Option<f64>),
-    FirstTime(Gauge<N>, &'a Condition, Option<f64>),
+    Of(Gauge<N>, Kept<'a>),
     Exponent(Box<Shadow<'a, N>>),
 }
 
 impl<'a, const N: usize> Tally<'a, N> {
     /// Returns the tallies of the scores; a Lyapunov exponent takes the shadow.
     pub(super) fn all(scores: &'a [Score], mut shadow: Option<Shadow<'a, N>>) -> Vec<Self> {
-        let tally = |score: &'a Score| {
-            Some(match &score.measure {
-                Measure::Largest(quantity) => Self::Largest(Gauge::of(quantity), None),
-                Measure::Smallest(quantity) => Self::Smallest(Gauge::of(quantity), None),
-                Measure::FirstTime(condition) => {
-                    Self::FirstTime(Gauge::of(&condition.of), condition, None)
-                }
-                Measure::LyapunovExponent(_) => Self::Exponent(Box::new(shadow.take()?)),
-            })
+        let tally = |score: &'a Score| match Kept::of(&score.measure) {
+            Some((quantity, kept)) => Some(Self::Of(Gauge::of(quantity)?, kept)),
+            None => Some(Self::Exponent(Box::new(shadow.take()?))),
         };
         scores.iter().filter_map(tally).collect()
     }
 
     pub(super) fn note(&mut self, body: &RigidBody<N>, sample: &Sample<N>) {
-        let kept = |old: &mut Option<f64>, new: Option<f64>, better: fn(f64, f64) -> f64| {
-            if let Some(new) = new {
-                *old = Some(old.map_or(new, |old| better(old, new)));
-            }
-        };
         match self {
-            Self::Largest(gauge, value) => kept(value, gauge.read(sample), f64::max),
-            Self::Smallest(gauge, value) => kept(value, gauge.read(sample), f64::min),
-            Self::FirstTime(gauge, Condition { above, below, .. }, time_s) => {
-                let beyond = |x: f64| {
-                    above.is_some_and(|limit| x > limit) || below.is_some_and(|limit| x < limit)
-                };
-                if time_s.is_none() && gauge.read(sample).is_some_and(beyond) {
-                    *time_s = Some(sample.time_s);
-                }
-            }
+            Self::Of(gauge, kept) => kept.take(sample.time_s, || gauge.read(sample)),
             Self::Exponent(shadow) => shadow.note(body, sample),
         }
     }
@@ -59,10 +41,83 @@ impl<'a, const N: usize> Tally<'a, N> {
     /// Returns the cell of a run that has ended; `completed` if it made all its steps.
     pub(super) fn value(&self, completed: bool) -> Option<f64> {
         match self {
-            Self::Largest(_, value) | Self::Smallest(_, value) | Self::FirstTime(_, _, value) => {
-                *value
-            }
+            Self::Of(_, kept) => kept.value(),
             Self::Exponent(shadow) => shadow.exponent().filter(|_| completed),
+        }
+    }
+}
+
+/// A score of several bodies during a run.
+pub(super) struct BodiesTally<'a, const N: usize> {
+    gauge: BodiesGauge<N>,
+    kept: Kept<'a>,
+}
+
+impl<'a, const N: usize> BodiesTally<'a, N> {
+    /// Returns the tallies of the scores.
+    pub(super) fn all(scores: &'a [Score], scene: &Bodies) -> Vec<Self> {
+        let tally = |score: &'a Score| {
+            let (quantity, kept) = Kept::of(&score.measure)?;
+            let body = score.body.as_ref().and_then(|name| scene.number(name));
+            Some(Self { gauge: BodiesGauge::of(quantity, body, scene)?, kept })
+        };
+        scores.iter().filter_map(tally).collect()
+    }
+
+    pub(super) fn note(&mut self, sample: &bodies::Sample<N>) {
+        let Self { gauge, kept } = self;
+        kept.take(sample.time_s, || gauge.read(sample));
+    }
+
+    /// Returns the cell of a run that has ended.
+    pub(super) fn value(&self) -> Option<f64> {
+        self.kept.value()
+    }
+}
+
+/// What is kept of the values of a quantity.
+pub(super) enum Kept<'a> {
+    Largest(Option<f64>),
+    Smallest(Option<f64>),
+    /// The first time in s at which a condition held.
+    FirstTime(&'a Condition, Option<f64>),
+}
+
+impl<'a> Kept<'a> {
+    /// Returns the quantity of a measure, and that nothing is kept of it yet; `None` for a measure of another kind.
+    fn of(measure: &'a Measure) -> Option<(&'a Quantity, Self)> {
+        let kept = match measure {
+            Measure::Largest(_) => Self::Largest(None),
+            Measure::Smallest(_) => Self::Smallest(None),
+            Measure::FirstTime(condition) => Self::FirstTime(condition, None),
+            Measure::LyapunovExponent(_) => return None,
+        };
+        Some((measure.quantity()?, kept))
+    }
+
+    fn take(&mut self, time_s: f64, value: impl FnOnce() -> Option<f64>) {
+        let kept = |old: &mut Option<f64>, new: Option<f64>, better: fn(f64, f64) -> f64| {
+            if let Some(new) = new {
+                *old = Some(old.map_or(new, |old| better(old, new)));
+            }
+        };
+        match self {
+            Self::Largest(old) => kept(old, value(), f64::max),
+            Self::Smallest(old) => kept(old, value(), f64::min),
+            Self::FirstTime(Condition { above, below, .. }, first_s) => {
+                let beyond = |x: f64| {
+                    above.is_some_and(|limit| x > limit) || below.is_some_and(|limit| x < limit)
+                };
+                if first_s.is_none() && value().is_some_and(beyond) {
+                    *first_s = Some(time_s);
+                }
+            }
+        }
+    }
+
+    fn value(&self) -> Option<f64> {
+        match self {
+            Self::Largest(value) | Self::Smallest(value) | Self::FirstTime(_, value) => *value,
         }
     }
 }
@@ -76,42 +131,83 @@ pub(super) enum Gauge<const N: usize> {
 }
 
 impl<const N: usize> Gauge<N> {
-    fn of(quantity: &Quantity) -> Self {
-        let unit = |axis: &[f64]| {
-            // Divided by the largest first, so that no square is lost.
-            let largest = axis.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
-            let length = axis.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt();
-            std::array::from_fn(|i| axis[i] / largest / length)
-        };
-        match quantity {
+    /// Returns what reads a quantity; `None` if one body does not have it.
+    fn of(quantity: &Quantity) -> Option<Self> {
+        Some(match quantity {
             Quantity::Tilt(Tilt { body_axis, space_axis }) => {
                 Self::Tilt { body: unit(body_axis), space: unit(space_axis) }
             }
             Quantity::AngularSpeed => Self::AngularSpeed,
             Quantity::KineticEnergy => Self::KineticEnergy,
             Quantity::AxisError => Self::AxisError,
-        }
+            Quantity::Distance(_) => return None,
+        })
     }
 
     /// Returns the value at a sample; `None` without an attitude, where one is needed.
     fn read(&self, sample: &Sample<N>) -> Option<f64> {
         match self {
-            Self::Tilt { body, space } => {
-                let g = sample.attitude?;
-                let seen: [f64; N] =
-                    std::array::from_fn(|i| (0..N).map(|j| g[(i, j)] * body[j]).sum());
-                // Twice the angle of the half: exact next to 0 and to pi (Kahan 2006).
-                let length = |sign: f64| {
-                    let square = |(a, b): (&f64, &f64)| (a + sign * b) * (a + sign * b);
-                    seen.iter().zip(space).map(square).sum::<f64>().sqrt()
-                };
-                Some(2.0 * libm::atan2(length(-1.0), length(1.0)))
-            }
+            Self::Tilt { body, space } => Some(tilt(sample.attitude.as_ref()?, body, space)),
             Self::AngularSpeed => sample.angular_velocity.as_ref().map(norm),
             Self::KineticEnergy => sample.energy.map(|energy| energy.kinetic),
             Self::AxisError => sample.pointing.map(|pointed| pointed.axis_error_rad),
         }
     }
+}
+
+/// A quantity that a sample of several bodies has; bodies by number.
+enum BodiesGauge<const N: usize> {
+    Tilt { of: usize, body: [f64; N], space: [f64; N] },
+    AngularSpeed(usize),
+    KineticEnergy,
+    Distance([Site<N>; 2]),
+}
+
+impl<const N: usize> BodiesGauge<N> {
+    /// Returns what reads a quantity, that of a body; `None` if several bodies do not have it.
+    fn of(quantity: &Quantity, body: Option<usize>, scene: &Bodies) -> Option<Self> {
+        Some(match quantity {
+            Quantity::Tilt(Tilt { body_axis, space_axis }) => {
+                Self::Tilt { of: body?, body: unit(body_axis), space: unit(space_axis) }
+            }
+            Quantity::AngularSpeed => Self::AngularSpeed(body?),
+            Quantity::KineticEnergy => Self::KineticEnergy,
+            Quantity::Distance(Separation { between, points }) => {
+                Self::Distance(sites(scene, between, points.as_ref()))
+            }
+            Quantity::AxisError => return None,
+        })
+    }
+
+    fn read(&self, sample: &bodies::Sample<N>) -> Option<f64> {
+        match self {
+            Self::Tilt { of, body, space } => {
+                Some(tilt(&sample.bodies.get(*of)?.attitude, body, space))
+            }
+            Self::AngularSpeed(of) => Some(norm(&sample.bodies.get(*of)?.angular_velocity)),
+            Self::KineticEnergy => sample.energy.map(|energy| energy.kinetic),
+            Self::Distance(sites) => Some(distance(sites, &sample.bodies)),
+        }
+    }
+}
+
+/// Returns an axis of length one.
+fn unit<const N: usize>(axis: &[f64]) -> [f64; N] {
+    // Divided by the largest first, so that no square is lost.
+    let largest = axis.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
+    let length = axis.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt();
+    std::array::from_fn(|i| axis[i] / largest / length)
+}
+
+/// Returns the angle between an axis of the body and one of space.
+fn tilt<const N: usize>(g: &Mat<N>, body: &[f64; N], space: &[f64; N]) -> f64 {
+    let seen: [f64; N] = std::array::from_fn(|i| (0..N).map(|j| g[(i, j)] * body[j]).sum());
+    // Twice the angle of the half: exact next to 0 and to pi (Kahan 2006).
+    let length = |sign: f64| {
+        let square = |(a, b): (&f64, &f64)| (a + sign * b) * (a + sign * b);
+        seen.iter().zip(space).map(square).sum::<f64>().sqrt()
+    };
+    2.0 * libm::atan2(length(-1.0), length(1.0))
 }
 
 /// A trajectory that begins close to a run and is brought back at each sample: the growth of its

@@ -602,6 +602,10 @@ pub(crate) fn table() -> Vec<Bad> {
     }
     add(without(ensemble(), "/ensemble/members"), "/ensemble");
     add(with(ensemble(), "/ensemble/spread", "1"), "/ensemble/spread");
+    for field in ["position_spread_m", "velocity_spread_m_s"] {
+        let pointer = format!("/ensemble/{field}");
+        add(with(ensemble(), &pointer, "0.1"), &pointer);
+    }
     add(with(full(), "/ensemble", r#"{"members": 10}"#), "/ensemble");
     add(with(ensemble(), "/ensemble/in_full", "[1, 2, 3, 4, 5, 6, 7, 8]"), "/ensemble/in_full");
     for bad in ["[2, 2]", "[3, 0]", "[4, 10]"] {

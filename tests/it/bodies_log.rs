@@ -96,6 +96,7 @@ fn checkpoint(k: u64) -> Checkpoint {
         iterations: 5 * k,
         convergence: sample::<3>(k, 1.0).convergence,
         numbers: vec![k as f64, -0.0, 1.0 / 3.0],
+        holds_since_s: Vec::new(),
     }
 }
 
@@ -105,7 +106,7 @@ fn record<const N: usize>(log: &mut LogWriter, steps: std::ops::Range<u64>, away
     for k in steps {
         let sample = sample::<N>(k, away_m);
         figures.keep_bodies(&sample);
-        log.record_bodies(&sample).expect("recorded");
+        log.record_bodies(0, &sample).expect("recorded");
         if log.wants_checkpoint() {
             log.checkpoint(&messages::Checkpoint::of_bodies(&checkpoint(k), figures))
                 .expect("kept");
@@ -347,7 +348,7 @@ fn an_interrupted_log_goes_on_to_the_same_bytes() {
     for k in 10..23 {
         let sample = sample::<3>(k, 8.0);
         figures.keep_bodies(&sample);
-        log.record_bodies(&sample).expect("recorded");
+        log.record_bodies(0, &sample).expect("recorded");
         if log.wants_checkpoint() {
             log.checkpoint(&messages::Checkpoint::of_bodies(&checkpoint(k), figures))
                 .expect("kept");
@@ -396,5 +397,5 @@ fn a_number_that_no_plot_shows_is_refused() {
     let mut log = LogWriter::create(&folder.path().join("two.mcap"), &header(3)).expect("created");
     let mut bad = sample::<3>(0, 8.0);
     bad.bodies[1].velocity[2] = f64::NAN;
-    assert!(log.record_bodies(&bad).is_err());
+    assert!(log.record_bodies(0, &bad).is_err());
 }

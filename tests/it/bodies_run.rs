@@ -11,17 +11,17 @@ use vpd::scenario::Scenario;
 use vpd::study::Watch;
 use vpd::verify;
 
-fn shipped(name: &str) -> Value {
+pub(crate) fn shipped(name: &str) -> Value {
     let text = fs::read_to_string(format!("scenarios/{name}.json")).expect("shipped");
     serde_json::from_str(&text).expect("JSON")
 }
 
-fn plan(scenario: &Value) -> Plan {
+pub(crate) fn plan(scenario: &Value) -> Plan {
     let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario");
     advise::plan(&scenario).expect("a plan")
 }
 
-fn run(scenario: &Value, log: &Path) -> Summary {
+pub(crate) fn run(scenario: &Value, log: &Path) -> Summary {
     let control = Control::default();
     execute(&plan(scenario), &JobContext { log, control: &control }).expect("a log")
 }
@@ -295,4 +295,123 @@ fn the_sweeps_of_several_bodies_are_most_of_a_step() {
     // A step is taken to need this many of them.
     let swept_ns = 5.0 * plan.sweep_cost_ns();
     assert!(swept_ns > 0.5 * plan.step_ns, "{swept_ns} of {}", plan.step_ns);
+}
+
+/// A probe that falls past a planet: the distance of an orbit is known in closed form.
+fn flyby(until: Value) -> Value {
+    json!({
+        "name": "flyby",
+        "scene": {
+            "bodies": [
+                { "name": "planet", "pivot": [0, 0, 0], "inertia": { "principal": [1, 1, 1] } },
+                { "name": "probe", "mass": 0.5, "inertia": { "principal": [0.1, 0.2, 0.25] },
+                  "initial": { "position": [1, 0, 0], "velocity": [0, 0.5, 0], "angular_velocity": { "body": [0, 0, 0.3] } } },
+            ],
+            "potential": [
+                { "kind": "point_source", "between": ["planet", "probe"], "points": [[0, 0, 0], [0, 0, 0]], "strength": -0.5 },
+            ],
+        },
+        "method": { "name": "vpd", "tableau": "gauss6" },
+        "until": until,
+        "step_s": 0.02,
+        "duration_s": 4,
+        "log": { "every": 1 },
+    })
+}
+
+/// The time at which the distance on the orbit of `flyby`, which begins at its farthest point 1 with mu = 1 and v = 1/2, falls to
+/// `r`: by Kepler's equation, `a (1 - e cos E) = r`, `t = (E - e sin E) a^(3/2)` from the nearest point.
+fn falls_to_s(r: f64) -> f64 {
+    let (a, e): (f64, f64) = (1.0 / 1.75, 0.75);
+    let anomaly = f64::acos((1.0 - r / a) / e);
+    let motion = a.powf(-1.5);
+    (std::f64::consts::PI - (anomaly - e * anomaly.sin())) / motion
+}
+
+#[test]
+fn a_run_ends_where_two_bodies_are_near_enough() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("flyby.mcap");
+    let limit = json!({ "distance_m": 0.4, "between": ["planet", "probe"] });
+    let expected_s = falls_to_s(0.4);
+    for name in ["vpd", "rkmk", "rk_projected", "splitting"] {
+        let mut scenario = flyby(json!([{ "distance_below_m": limit, "exact": true }]));
+        scenario["method"] = match name {
+            "vpd" => json!({ "name": name, "tableau": "gauss6" }),
+            "splitting" => json!({ "name": name, "order": 8 }),
+            _ => json!({ "name": name, "tableau": "rk8" }),
+        };
+        let ended = run(&scenario, &log);
+        assert_eq!(ended.outcome, Outcome::Succeeded);
+        let off = ended.time_s - expected_s;
+        println!("{name}: {:.12} s, {off:.1e} s off", ended.time_s);
+        assert!(off.abs() < 3e-9, "{name}: {off:e}");
+        let why = ended.stopped.expect("a condition");
+        assert!(why.starts_with("distance of planet and probe below 0.4 m at t = "), "{why}");
+        assert!(why.ends_with("(/until/0)"), "{why}");
+        let at = &ended.last.bodies["probe"].position;
+        let distance = at.iter().map(|x| x * x).sum::<f64>().sqrt();
+        assert!((distance - 0.4).abs() < 1e-8, "{distance}");
+        let verified = verify::verify(&log).expect("a run again");
+        assert!(verified.same, "{verified:?}");
+    }
+    // After a step, and for some time.
+    let step = run(&flyby(json!([{ "distance_below_m": limit }])), &log);
+    assert_eq!(step.steps, (expected_s / 0.02).ceil() as u64);
+    assert!((step.time_s - step.steps as f64 * 0.02).abs() < 1e-12);
+    let held = run(&flyby(json!([{ "distance_below_m": limit, "for_s": 0.1 }])), &log);
+    assert_eq!(held.steps, step.steps + 5);
+    // From the other side, from points of bodies and of space.
+    let farther = json!({ "distance_m": 0.2, "between": ["space", "probe"], "points": [[1, 0, 0], [0, 0, 0]] });
+    let farther = run(&flyby(json!([{ "distance_above_m": farther, "exact": true }])), &log);
+    let at = &farther.last.bodies["probe"].position;
+    let distance = ((at[0] - 1.0).powi(2) + at[1].powi(2)).sqrt();
+    assert!((distance - 0.2).abs() < 1e-8, "{distance}");
+}
+
+#[test]
+fn conditions_of_a_body_are_its_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("flyby.mcap");
+    // The probe turns about an axis of inertia at 0.3 rad/s.
+    let angle = json!([
+        { "body": "planet", "angle_above_rad": { "angle_rad": 0.1 } },
+        { "body": "probe", "angle_above_rad": { "angle_rad": 0.31 }, "exact": true },
+    ]);
+    let ended = run(&flyby(angle), &log);
+    assert!((ended.time_s - 0.31 / 0.3).abs() < 3e-9, "{}", ended.time_s);
+    let why = ended.stopped.expect("a condition");
+    assert!(why.starts_with("angle of probe above 0.31 rad at t = 1.0333"), "{why}");
+    let rate = json!([{ "body": "planet", "rate_below_rad_s": 0.1 }]);
+    let ended = run(&flyby(rate), &log);
+    assert_eq!((ended.steps, ended.stopped.is_some()), (1, true), "it is at rest");
+    let energy = json!([{ "energy_error_above_j": 1e-300 }]);
+    let ended = run(&flyby(energy), &log);
+    assert!(ended.stopped.expect("a condition").starts_with("energy error above"));
+}
+
+/// A condition that must hold for some time is resumed in the middle of it, to the same bytes.
+#[test]
+fn a_run_that_waits_for_its_condition_is_resumed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
+    let limit = json!({ "distance_m": 0.9, "between": ["planet", "probe"] });
+    let mut scenario = flyby(json!([{ "distance_below_m": limit, "for_s": 1.0 }]));
+    scenario["step_s"] = json!(0.0002);
+    scenario["method"] = json!({ "name": "vpd", "tableau": "gauss2" });
+    let reference = run(&scenario, &whole);
+    assert!(reference.stopped.is_some());
+    let bytes = fs::read(&whole).expect("a log");
+    let mut resumed = Vec::new();
+    for part in [0.5, 0.9] {
+        let _ = fs::remove_file(&cut);
+        let beginning = &bytes[..(part * bytes.len() as f64) as usize];
+        fs::write(vpd::log::part_path(&cut), beginning).expect("written");
+        let summary = run(&scenario, &cut);
+        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}");
+        assert_eq!(summary.stopped, reference.stopped);
+        resumed.push(summary.resumed_step);
+    }
+    println!("resumed at the steps {resumed:?} of {}", reference.steps);
+    assert!(resumed[1] > reference.steps - 5000, "while it holds: {resumed:?}");
 }

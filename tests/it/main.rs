@@ -7,6 +7,7 @@
 mod adaptive;
 mod advise;
 mod bad_scenarios;
+mod bodies_ensemble;
 mod bodies_log;
 mod bodies_run;
 mod bodies_scenes;

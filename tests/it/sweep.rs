@@ -898,3 +898,117 @@ fn parts_of_many_processes_make_the_whole() {
         assert_eq!(vpd(at, &["sweep", "mixed.json", "--shard", shard]).status.code(), Some(2));
     }
 }
+
+/// Scores of several bodies: those of the samples of the member's log.
+#[test]
+fn scores_of_several_bodies_are_those_of_their_samples() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let mut scenario = crate::bodies_run::shipped("tether");
+    let fields = scenario.as_object_mut().expect("an object");
+    for key in ["duration_s", "expect"] {
+        fields.remove(key);
+    }
+    scenario["steps"] = json!(100);
+    scenario["log"] = json!({ "every": 2 });
+    let distance = json!({ "distance": { "between": ["primary", "secondary"] } });
+    let tied = json!({ "distance": {
+        "between": ["primary", "secondary"], "points": [[0.6, 0.1, 0], [-0.4, 0, 0.1]],
+    } });
+    let tilt = json!({ "tilt": { "body_axis": [0, 0, 1], "space_axis": [0, 0, 2] } });
+    let scores = json!([
+        { "name": "nearest", "measure": { "smallest": distance } },
+        { "name": "tied", "measure": { "largest": tied } },
+        { "name": "first", "measure": { "first_time": { "of": distance, "below": 4.5 } } },
+        { "name": "spin", "body": "secondary", "measure": { "largest": "angular_speed" } },
+        { "name": "tilt", "body": "primary", "measure": { "largest": tilt } },
+        { "name": "kinetic", "measure": { "largest": "kinetic_energy" } },
+    ]);
+    let vary = json!({ "name": "speed", "pointer": "/scene/bodies/1/initial/velocity/1", "values": { "list": [0.1, 0.14] } });
+    let document =
+        json!({ "scenario": scenario, "keep_logs": [1], "vary": [vary], "scores": scores });
+    write(at, "sweep.json", &document);
+    succeeds(at, &["sweep", "sweep.json"]);
+    let line = &lines(at, "sweep.csv")[1];
+    let size = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (mut nearest, mut spin, mut kinetic, mut first_s) = (f64::INFINITY, 0.0, 0.0, None);
+    let (mut tied, mut tilt) = (0.0, 0.0);
+    vpd::log::rows::read_rows(&at.join("sweep.logs/1.mcap"), 0, |row| {
+        let [(_, one), (_, other)] = row.bodies.as_slice() else { panic!("two bodies") };
+        let point = |body: &vpd::log::messages::BodyState, y: [f64; 3]| -> Vec<f64> {
+            let g = body.attitude.chunks(3);
+            let turned = g.map(|row| row.iter().zip(y).map(|(g, y)| g * y).sum::<f64>());
+            turned.zip(&body.position).map(|(y, x)| y + x).collect()
+        };
+        let apart = |a: [f64; 3], b: [f64; 3]| {
+            let [a, b] = [point(one, a), point(other, b)];
+            size(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>())
+        };
+        let distance = apart([0.0; 3], [0.0; 3]);
+        nearest = f64::min(nearest, distance);
+        if distance < 4.5 && first_s.is_none() {
+            first_s = Some(one.time_s);
+        }
+        tied = f64::max(tied, apart([0.6, 0.1, 0.0], [-0.4, 0.0, 0.1]));
+        tilt = f64::max(tilt, one.attitude[8].acos());
+        spin = f64::max(spin, size(&other.angular_velocity));
+        kinetic = f64::max(kinetic, row.energy.expect("logged").kinetic);
+        std::ops::ControlFlow::Continue(())
+    })
+    .expect("readable");
+    assert!((number(line, "nearest") - nearest).abs() < 1e-14, "{nearest}");
+    assert_eq!(Some(number(line, "first")), first_s);
+    assert!((number(line, "tied") - tied).abs() < 1e-14, "{tied}");
+    assert!((number(line, "tilt") - tilt).abs() < 1e-12 && tilt > 0.01, "{tilt}");
+    assert!((number(line, "spin") - spin).abs() < 1e-15, "{spin}");
+    assert_eq!(number(line, "kinetic"), kinetic);
+
+    for (pointer, value, at, words) in [
+        ("/scores/3/body", json!(null), "/scores/3", "missing field `body`"),
+        ("/scores/3/body", json!("secondry"), "/scores/3/body", "did you mean `secondary`?"),
+        ("/scores/0/body", json!("primary"), "/scores/0/body", "not that of one body"),
+        (
+            "/scores/0/measure/smallest/distance/between/1",
+            json!("x"),
+            "/scores/0/measure/smallest/distance/between/1",
+            "no body has that name",
+        ),
+        (
+            "/scores/2/measure/first_time/of/distance/between/1",
+            json!("primary"),
+            "/scores/2/measure/first_time/of/distance/between",
+            "two different bodies",
+        ),
+        (
+            "/scores/0/measure",
+            json!({ "lyapunov_exponent": {} }),
+            "/scores/0/measure",
+            "for scenes of one body",
+        ),
+        (
+            "/scores/0/measure",
+            json!({ "largest": "axis_error" }),
+            "/scores/0/measure",
+            "for scenes of one body",
+        ),
+    ] {
+        let mut bad = document.clone();
+        if value.is_null() {
+            bad["scores"][3].as_object_mut().expect("a score").remove("body");
+        } else if pointer.ends_with("/body") {
+            let score: usize = pointer[8..9].parse().expect("a digit");
+            bad["scores"][score]["body"] = value;
+        } else {
+            *bad.pointer_mut(pointer).expect("a field") = value;
+        }
+        let error = Sweep::from_json(bad.to_string().as_bytes()).expect_err(pointer);
+        assert_eq!(error.pointer, at, "{error}");
+        assert!(error.message.contains(words), "{error}");
+    }
+    let mut one = document.clone();
+    one["scenario"] = crate::bodies_run::shipped("heavy-top");
+    one["vary"] = json!([{ "pointer": "/step_s", "values": { "list": [0.001] } }]);
+    one["scores"] = json!([{ "name": "nearest", "measure": { "smallest": distance } }]);
+    let error = Sweep::from_json(one.to_string().as_bytes()).expect_err("one body");
+    assert_eq!(error.pointer, "/scores/0/measure");
+}

@@ -34,7 +34,60 @@ pub struct Start<const N: usize> {
     pub velocity: Vector<N>,
 }
 
+/// How a member of an ensemble starts, next to the state that it is a member of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change<const N: usize> {
+    /// theta, skew: the turn `exp(theta)` in body coordinates.
+    pub turn: Mat<N>,
+    /// delta, skew, in kg m^2/s: a change of the body's own momentum `J Omega`, in body coordinates.
+    pub momentum: Mat<N>,
+    /// s, of the centre of mass in m; of no effect unless [`Hold::Free`].
+    pub shift: Vector<N>,
+    /// v, of its velocity in m/s; likewise.
+    pub velocity: Vector<N>,
+}
+
 impl<const N: usize> Bodies<N> {
+    /// Returns the state that lies beside `state` by these changes. Joints hold, because places and momenta follow from
+    /// attitudes and velocities:
+    ///
+    /// ```text
+    /// g_a exp(theta_a),      Omega_a + J_a^-1 delta_a,      r_a + s_a  and  r_a' + v_a  of a free body a
+    /// ```
+    ///
+    /// Without joints the second is `mu_a + delta_a`. `None` where `state` has no velocities.
+    ///
+    /// # Panics
+    /// If there are not as many changes as bodies.
+    pub fn beside(&self, state: &BodiesState<N>, changes: &[Change<N>]) -> Option<BodiesState<N>> {
+        assert_eq!(changes.len(), self.bodies.len(), "one change for each body");
+        let seen = self.seen(state)?;
+        let starts: Vec<Start<N>> = seen
+            .iter()
+            .zip(changes)
+            .enumerate()
+            .map(|(a, (body, change))| Start {
+                attitude: so::orthonormalised(&so::product(&body.attitude, &so::exp(&change.turn))),
+                angular_velocity: body.angular_velocity + self.velocity_alone(a, &change.momentum),
+                position: body.position + change.shift,
+                velocity: body.velocity + change.velocity,
+            })
+            .collect();
+        let mut beside = self.state(&starts);
+        // Where nothing else has a part in them, the numbers of the state itself, not of velocities that follow from them.
+        for (number, tree) in self.trees.iter().enumerate().filter(|(_, tree)| !tree.is_jointed()) {
+            for &a in &tree.bodies {
+                beside.momenta[a] = state.momenta[a] + changes[a].momentum;
+            }
+            if let Some(mass) = tree.mass_kg {
+                let root = &changes[tree.bodies[0]];
+                beside.places[number] = state.places[number] + root.shift;
+                beside.linear_momenta[number] = state.linear_momenta[number] + root.velocity * mass;
+            }
+        }
+        Some(beside)
+    }
+
     /// Returns the state of bodies that start so.
     ///
     /// # Panics

@@ -4,13 +4,14 @@
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of time; at a checkpoint the
 //! stepper starts anew from what the checkpoint holds.
 
-use super::{Bodies, BodiesState, Configuration, Forces};
+use super::{Bodies, BodiesCondition, BodiesState, Configuration, Forces};
 use crate::failure::{Failure, FailureCode};
 use crate::lanes::Real;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::stop;
 use crate::system::{Energy, free_directions};
-pub use crate::trajectory::Ending;
+pub use crate::trajectory::{Ending, Schedule};
 
 /// A scheme for several bodies.
 pub trait BodiesStepper<const N: usize>: Send {
@@ -127,6 +128,8 @@ pub struct Checkpoint {
     pub convergence: Option<Convergence>,
     /// The state, see [`BodiesState::numbers`].
     pub numbers: Vec<f64>,
+    /// Since when each of [`Bodies::stops`] has held, in s; `None` where it does not.
+    pub holds_since_s: Vec<Option<f64>>,
 }
 
 /// Destination of samples.
@@ -170,6 +173,8 @@ pub struct Trajectory {
     pub ending: Ending,
     /// Where it ended.
     pub reached: Checkpoint,
+    /// When, in s: at the end of a step, unless a condition stopped it within.
+    pub time_s: f64,
 }
 
 /// Computes samples against a start.
@@ -362,52 +367,262 @@ pub fn integrate<const N: usize, S: Sink<N>>(
 ) -> Result<Trajectory, S::Error> {
     let Course { initial, checkpoint, step_s, steps, every } = course;
     let every = every.max(1);
-    let observer = Observer::new(bodies, initial);
-    let mut reached = checkpoint.cloned().unwrap_or_default();
+    let mut bookkeeping = Bookkeeping::new(bodies, initial, step_s);
     let begun = checkpoint.and_then(|found| initial.with_numbers(&found.numbers));
     stepper.start(begun.as_ref().unwrap_or(initial));
-    let mut sampled = (reached.samples > 0).then_some(reached.step);
-    let mut ending = Ending::Completed;
+    if let Some(found) = checkpoint {
+        bookkeeping.resume(found);
+    }
     loop {
-        let step = reached.step;
-        let over = step == steps || ending != Ending::Completed;
-        if (over || step % every == 0) && sampled != Some(step) {
-            let state = stepper.state();
-            let at = (step, step as f64 * step_s);
-            match observer.sample(bodies, &state, at, reached.convergence) {
-                Ok(sample) => {
-                    reached.samples += 1;
-                    reached.numbers = state.numbers();
-                    sampled = Some(step);
-                    sink.record(&sample)?;
-                }
-                // What was reached is good up to the sample before.
-                Err(failure) => {
-                    ending = Ending::Failed(failure);
-                    break;
-                }
-            }
+        let step = bookkeeping.reached.step;
+        let over = step == steps || !bookkeeping.goes_on();
+        if (over || step.is_multiple_of(every))
+            && let Some(sample) = bookkeeping.sample(bodies, stepper)
+        {
+            sink.record(&sample)?;
             if !over && sink.wants_checkpoint() {
-                sink.checkpoint(&reached)?;
+                sink.checkpoint(&bookkeeping.reached)?;
+                let state = stepper.state();
                 stepper.start(&state);
             }
         }
-        if over || ending != Ending::Completed {
+        if over || !bookkeeping.goes_on() {
             break;
         }
-        if !go_on(step) {
-            ending = Ending::Cancelled;
-            continue;
-        }
-        match stepper.step(bodies, step_s) {
-            Ok(solved) => {
-                reached.convergence = Some(solved);
-                reached.iterations += u64::from(solved.iterations);
-                reached.step += 1;
-            }
-            Err(Failure { code: FailureCode::Stopped, .. }) => ending = Ending::Cancelled,
-            Err(failure) => ending = Ending::Failed(failure),
+        if go_on(step) {
+            bookkeeping.step(bodies, stepper);
+        } else {
+            bookkeeping.ending = Ending::Cancelled;
         }
     }
-    Ok(Trajectory { ending, reached })
+    Ok(bookkeeping.end())
+}
+
+/// Carries members of an ensemble forward, each by a stepper of its own, and gives the samples to `record` with the number of
+/// their member; those of a time in the order of the members. `go_on(steps_done)` is asked before each step.
+///
+/// # Errors
+/// Those of `record`. A step that fails is not an error but an [`Ending`] of its member.
+///
+/// # Panics
+/// If there are fewer steppers than starts.
+pub fn integrate_members<const N: usize, E>(
+    bodies: &Bodies<N>,
+    steppers: &mut [Box<dyn BodiesStepper<N>>],
+    starts: &[BodiesState<N>],
+    schedule: Schedule,
+    mut record: impl FnMut(usize, &Sample<N>) -> Result<(), E>,
+    mut go_on: impl FnMut(u64) -> bool,
+) -> Result<Vec<Trajectory>, E> {
+    let Schedule { step_s, steps, every } = schedule;
+    let every = every.max(1);
+    assert!(steppers.len() >= starts.len(), "a stepper for each member");
+    steppers.iter_mut().zip(starts).for_each(|(stepper, start)| stepper.start(start));
+    let mut members: Vec<Bookkeeping<N>> =
+        starts.iter().map(|start| Bookkeeping::new(bodies, start, step_s)).collect();
+    for step in 0..=steps {
+        let is_over = step == steps;
+        let goes_on = is_over || go_on(step);
+        let mut is_anyone_left = false;
+        for (m, (member, stepper)) in members.iter_mut().zip(steppers.iter_mut()).enumerate() {
+            if !member.goes_on() {
+                continue;
+            }
+            if !goes_on {
+                member.ending = Ending::Cancelled;
+            }
+            if (is_over || !goes_on || step.is_multiple_of(every))
+                && let Some(sample) = member.sample(bodies, stepper.as_ref())
+            {
+                record(m, &sample)?;
+            }
+        }
+        if is_over {
+            break;
+        }
+        for (m, (member, stepper)) in members.iter_mut().zip(steppers.iter_mut()).enumerate() {
+            if !member.goes_on() {
+                continue;
+            }
+            member.step(bodies, stepper.as_mut());
+            if member.goes_on() {
+                is_anyone_left = true;
+            } else if let Some(sample) = member.sample(bodies, stepper.as_ref()) {
+                record(m, &sample)?;
+            }
+        }
+        if !is_anyone_left {
+            break;
+        }
+    }
+    Ok(members.into_iter().map(Bookkeeping::end).collect())
+}
+
+/// The progress record of one trajectory: how far it came, and its samples.
+struct Bookkeeping<const N: usize> {
+    observer: Observer<N>,
+    step_s: f64,
+    ending: Ending,
+    /// Steps and sweeps are those made, the numbers those of the last sample.
+    reached: Checkpoint,
+    /// The step of the last sample.
+    sampled: Option<u64>,
+    /// The time at which a condition stopped the last step within, in s.
+    ends_s: Option<f64>,
+}
+
+impl<const N: usize> Bookkeeping<N> {
+    fn new(bodies: &Bodies<N>, initial: &BodiesState<N>, step_s: f64) -> Self {
+        let observer = Observer::new(bodies, initial);
+        let (ending, reached) = (Ending::Completed, Checkpoint::default());
+        Self { observer, step_s, ending, reached, sampled: None, ends_s: None }
+    }
+
+    fn resume(&mut self, found: &Checkpoint) {
+        self.reached = found.clone();
+        self.sampled = (found.samples > 0).then_some(found.step);
+    }
+
+    fn goes_on(&self) -> bool {
+        self.ending == Ending::Completed
+    }
+
+    /// Makes a step, or a part of one where a condition ends the run within.
+    fn step(&mut self, bodies: &Bodies<N>, stepper: &mut dyn BodiesStepper<N>) {
+        let is_located = bodies.stops().iter().any(|stop| stop.exact);
+        let begun = is_located.then(|| (stepper.state(), self.reached.clone()));
+        self.stepped(stepper.step(bodies, self.step_s));
+        self.look_for_a_stop(bodies, stepper);
+        if let Some((state, reached)) = begun {
+            self.end_within(bodies, stepper, &state, reached);
+        }
+    }
+
+    /// Returns the margin of a condition at the state that a stepper holds: see [`BodiesCondition::margin`]. Where nothing can be
+    /// seen, it does not hold.
+    fn margin(
+        &self,
+        condition: &BodiesCondition<N>,
+        bodies: &Bodies<N>,
+        stepper: &dyn BodiesStepper<N>,
+        time_s: f64,
+    ) -> f64 {
+        let state = stepper.state();
+        let Some(seen) = bodies.seen(&state) else { return -1.0 };
+        condition.margin(time_s, &seen, || {
+            bodies.energy(&state, &seen).total() - self.observer.initial_energy
+        })
+    }
+
+    /// Ends the trajectory after a step if one of the conditions has held for as long as it asks.
+    fn look_for_a_stop(&mut self, bodies: &Bodies<N>, stepper: &dyn BodiesStepper<N>) {
+        let stops = bodies.stops();
+        if stops.is_empty() || !self.goes_on() {
+            return;
+        }
+        let time_s = self.reached.step as f64 * self.step_s;
+        self.reached.holds_since_s.resize(stops.len(), None);
+        for (number, stop) in stops.iter().enumerate() {
+            let holds = self.margin(&stop.condition, bodies, stepper, time_s) > 0.0;
+            let since_s = &mut self.reached.holds_since_s[number];
+            if stop::is_over(since_s, holds, time_s, stop.for_s) && self.goes_on() {
+                self.ending = Ending::Stopped(number);
+            }
+        }
+    }
+
+    /// Ends a trajectory that a condition has stopped after a step within this step, where the first of the conditions that are
+    /// located came to hold: by the scheme's own map over a part of the step, from the state in which that began.
+    fn end_within(
+        &mut self,
+        bodies: &Bodies<N>,
+        stepper: &mut dyn BodiesStepper<N>,
+        begun: &BodiesState<N>,
+        reached: Checkpoint,
+    ) {
+        let Ending::Stopped(after_step) = self.ending else { return };
+        let found = self.reached.holds_since_s.iter().zip(bodies.stops()).enumerate();
+        let located: Vec<usize> = found
+            .filter(|(_, (since, stop))| since.is_some() && stop.exact && stop.for_s == 0.0)
+            .map(|(number, _)| number)
+            .collect();
+        if located.is_empty() {
+            return;
+        }
+        let held = std::mem::replace(&mut self.reached, reached).holds_since_s;
+        let begun_s = self.reached.step as f64 * self.step_s;
+        let mut first = (self.step_s, after_step);
+        for number in located {
+            let condition = &bodies.stops()[number].condition;
+            stepper.start(begun);
+            // One that holds from the beginning ends the run after the step.
+            if self.margin(condition, bodies, stepper, begun_s) > 0.0 {
+                continue;
+            }
+            let part_s = stop::located(self.step_s, |part_s| {
+                stepper.start(begun);
+                stepper.step(bodies, part_s)?;
+                Ok(self.margin(condition, bodies, stepper, begun_s + part_s) > 0.0)
+            });
+            match part_s {
+                Ok(part_s) if part_s < first.0 => first = (part_s, number),
+                Ok(_) => {}
+                Err(failure) => return self.stepped(Err(failure)),
+            }
+        }
+        let (part_s, number) = first;
+        stepper.start(begun);
+        self.stepped(stepper.step(bodies, part_s));
+        if matches!(self.ending, Ending::Stopped(_)) {
+            self.reached.holds_since_s = held;
+            self.ending = Ending::Stopped(number);
+            self.ends_s = (part_s < self.step_s).then_some(begun_s + part_s);
+        }
+    }
+
+    /// The time of the state that was reached, in s.
+    fn time_s(&self) -> f64 {
+        self.ends_s.unwrap_or(self.reached.step as f64 * self.step_s)
+    }
+
+    /// Takes note of a step that was tried.
+    fn stepped(&mut self, result: Result<Convergence, Failure>) {
+        match result {
+            Ok(solved) => {
+                self.reached.convergence = Some(solved);
+                self.reached.iterations += u64::from(solved.iterations);
+                self.reached.step += 1;
+            }
+            Err(Failure { code: FailureCode::Stopped, .. }) => self.ending = Ending::Cancelled,
+            Err(failure) => self.ending = Ending::Failed(failure),
+        }
+    }
+
+    /// Takes the sample of the state that was reached, unless there was one. A sample that cannot be taken ends the trajectory:
+    /// what was reached is good up to the sample before.
+    fn sample(&mut self, bodies: &Bodies<N>, stepper: &dyn BodiesStepper<N>) -> Option<Sample<N>> {
+        let time_s = self.time_s();
+        let Self { observer, ending, reached, sampled, .. } = self;
+        let step = reached.step;
+        if *sampled == Some(step) {
+            return None;
+        }
+        let state = stepper.state();
+        match observer.sample(bodies, &state, (step, time_s), reached.convergence) {
+            Ok(sample) => {
+                reached.samples += 1;
+                reached.numbers = state.numbers();
+                *sampled = Some(step);
+                Some(sample)
+            }
+            Err(failure) => {
+                *ending = Ending::Failed(failure);
+                None
+            }
+        }
+    }
+
+    fn end(self) -> Trajectory {
+        Trajectory { time_s: self.time_s(), ending: self.ending, reached: self.reached }
+    }
 }

@@ -2,9 +2,13 @@
 
 use vpd_solve::bodies::explicit::{Attitudes, BodiesRk};
 use vpd_solve::bodies::splitting::BodiesSplitting;
-use vpd_solve::bodies::trajectory::{BodiesStepper, Course, Ending, Sample, integrate};
+use vpd_solve::bodies::trajectory::{
+    BodiesStepper, Course, Ending, Sample, Schedule, integrate, integrate_members,
+};
 use vpd_solve::bodies::vpd::BodiesVpd;
-use vpd_solve::bodies::{Bodies, BodiesError, BodiesState, Body, Hold, Interaction, Site, Start};
+use vpd_solve::bodies::{
+    Bodies, BodiesError, BodiesState, Body, Change, Hold, Interaction, Site, Start,
+};
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
@@ -702,6 +706,107 @@ fn joints_stay_closed() {
         assert!(sample.momentum_drift.expect("conserved") < 1e-13);
         assert!(sample.energy_error.expect("logged").abs() < 1e-6);
     }
+}
+
+/// Starts beside a state: turns of the bodies, changes of their velocities by their own inertia, and of free ones shifts. Joints
+/// hold, and none changes what another body has to itself.
+#[test]
+fn a_state_beside_another_is_turned_pushed_and_moved() {
+    fn change<const N: usize>(a: usize) -> Change<N> {
+        Change {
+            turn: turned(a, 0.3),
+            momentum: turned(a + 2, 0.02),
+            shift: varied(a, 0.4),
+            velocity: varied(a + 1, 0.2),
+        }
+    }
+    fn compare<const N: usize>(bodies: &Bodies<N>, state: &BodiesState<N>, free: &[usize]) {
+        let changes: Vec<Change<N>> = (0..bodies.bodies().len()).map(change).collect();
+        let beside = bodies.beside(state, &changes).expect("velocities");
+        let seen = bodies.seen(state).expect("velocities");
+        let found = bodies.seen(&beside).expect("velocities");
+        for (a, (before, after)) in seen.iter().zip(&found).enumerate() {
+            let Change { turn, momentum, shift, velocity } = &changes[a];
+            let attitude = before.attitude * so::exp(turn);
+            assert!((attitude - after.attitude).amax() < 1e-14);
+            // (D_i + D_j) dOmega_ij = delta_ij
+            let moments = bodies.bodies()[a].second_moments;
+            let gained = after.angular_velocity - before.angular_velocity;
+            let own = moments * gained + gained * moments;
+            assert!((own - momentum).amax() < 1e-13, "{a}: {:e}", (own - momentum).amax());
+            if free.contains(&a) {
+                assert!((after.position - before.position - shift).norm() < 1e-14);
+                assert!((after.velocity - before.velocity - velocity).norm() < 1e-14);
+            }
+        }
+    }
+    fn one_changed<const N: usize>(bodies: &Bodies<N>, state: &BodiesState<N>) {
+        let none = Change {
+            turn: Mat::zeros(),
+            momentum: Mat::zeros(),
+            shift: Vector::zeros(),
+            velocity: Vector::zeros(),
+        };
+        let beside = bodies.beside(state, &[none, change(1)]).expect("velocities");
+        assert_eq!(beside.momenta[0], state.momenta[0]);
+        assert_eq!(
+            (beside.places[0], beside.linear_momenta[0]),
+            (state.places[0], state.linear_momenta[0])
+        );
+        assert!((beside.momenta[1] - state.momenta[1]).amax() > 1e-3);
+    }
+    let (bodies, state) = in_springs::<3>(3, true);
+    compare(&bodies, &state, &[0, 1, 2]);
+    let (bodies, state) = in_springs::<4>(2, false);
+    compare(&bodies, &state, &[]);
+    let (bodies, state) = in_springs::<5>(2, true);
+    compare(&bodies, &state, &[0, 1]);
+    one_changed(&bodies, &state);
+    for (hung, free) in [(true, &[][..]), (false, &[0][..])] {
+        let (bodies, state) = chain(hung);
+        compare(&bodies, &state, free);
+        let changes: Vec<Change<3>> = (0..3).map(change).collect();
+        let beside = bodies.beside(&state, &changes).expect("velocities");
+        let seen = bodies.seen(&beside).expect("velocities");
+        let point = |a: usize, z: f64| seen[a].position + seen[a].attitude * v([0.0, 0.0, z]);
+        for a in 1..3 {
+            assert!((point(a, 0.5) - point(a - 1, -0.5)).norm() < 2e-15);
+        }
+    }
+}
+
+/// Members side by side make the steps of their own runs, to the bit, and one that fails leaves the others alone.
+#[test]
+fn members_are_their_own_runs() {
+    let (bodies, state) = in_springs::<3>(2, true);
+    let changes = |size: f64| -> Vec<Change<3>> {
+        let change = |a: usize| Change {
+            turn: turned(a, size),
+            momentum: turned(a + 2, size),
+            shift: varied(a, size),
+            velocity: varied(a + 1, size),
+        };
+        (0..2).map(change).collect()
+    };
+    let starts: Vec<BodiesState<3>> = [0.0, 0.1, 1e9]
+        .map(|size| bodies.beside(&state, &changes(size)).expect("velocities"))
+        .into();
+    let mut steppers: Vec<Box<dyn BodiesStepper<3>>> =
+        starts.iter().map(|start| Box::new(vpd(2, start)) as Box<_>).collect();
+    let schedule = Schedule { step_s: 0.02, steps: 50, every: 7 };
+    let mut samples = vec![Vec::new(); 3];
+    let record = |m: usize, sample: &Sample<3>| {
+        samples[m].push(sample.clone());
+        Ok::<(), std::convert::Infallible>(())
+    };
+    let Ok(ends) = integrate_members(&bodies, &mut steppers, &starts, schedule, record, |_| true);
+    for m in 0..2 {
+        assert_eq!(ends[m].ending, Ending::Completed);
+        let alone = run(&bodies, &starts[m], &mut vpd(2, &starts[m]), (0.02, 50, 7));
+        assert_eq!(samples[m], alone, "member {m}");
+        assert_eq!((ends[m].reached.step, ends[m].reached.samples), (50, 9));
+    }
+    assert!(matches!(ends[2].ending, Ending::Failed(_)), "{:?}", ends[2]);
 }
 
 /// With one stage; with more, as for one body, stages are taken relative to the start of the step.

@@ -7,14 +7,133 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::DMatrix;
 
 use super::SUCCEEDED;
-use crate::log::messages::{EnsembleStatistics, Figures, Member, Quantiles};
-use crate::run::summary::EnsembleSummary;
-use crate::solve::so::{self, Mat};
+use crate::log::messages::{BodyStatistics, EnsembleStatistics, Figures, Member, Quantiles};
+use crate::run::summary::{BodySpread, EnsembleSummary};
+use crate::solve::bodies::trajectory::BodySample;
+use crate::solve::so::{self, Mat, Vector};
 use crate::solve::state::State;
+
+/// Where a member is: a body, or several.
+pub(in crate::run) enum Place<const N: usize> {
+    One(State<N>),
+    Several(Vec<BodySample<N>>),
+}
+
+impl<const N: usize> Place<N> {
+    /// Returns where a member ended; `None` if it says nothing of that in this dimension.
+    pub(super) fn of_end(end: &Member) -> Option<Self> {
+        if let Some(last) = &end.last {
+            return last.point().map(Self::One);
+        }
+        let bodies = end.bodies.iter().map(|body| body.last.as_ref()?.body());
+        bodies.collect::<Option<_>>().map(Self::Several)
+    }
+}
+
+/// Sums over where members are.
+#[derive(Default)]
+pub(super) struct Spreads<const N: usize> {
+    count: u64,
+    one: Spread<N>,
+    several: Vec<SpreadOfBody<N>>,
+}
+
+impl<const N: usize> Spreads<N> {
+    pub(super) fn add(&mut self, place: &Place<N>) {
+        self.count += 1;
+        match place {
+            Place::One(state) => self.one.add(state),
+            Place::Several(bodies) => {
+                self.several.resize_with(bodies.len(), SpreadOfBody::default);
+                for (spread, body) in self.several.iter_mut().zip(bodies) {
+                    spread.add(body);
+                }
+            }
+        }
+    }
+
+    /// Returns mean and spread; those of several bodies have these names.
+    pub(super) fn statistics(&self, bodies: &[String]) -> EnsembleStatistics {
+        if bodies.is_empty() {
+            return self.one.statistics();
+        }
+        let of_body = |(name, spread): (&String, &SpreadOfBody<N>)| spread.statistics(name);
+        EnsembleStatistics {
+            members: self.count,
+            bodies: bodies.iter().zip(&self.several).map(of_body).collect(),
+            ..EnsembleStatistics::default()
+        }
+    }
+}
+
+/// Sums over the states of one of several bodies.
+#[derive(Default)]
+struct SpreadOfBody<const N: usize> {
+    turning: Spread<N>,
+    position: SpreadOfVector<N>,
+    velocity: SpreadOfVector<N>,
+}
+
+impl<const N: usize> SpreadOfBody<N> {
+    fn add(&mut self, body: &BodySample<N>) {
+        self.turning.add(&State { attitude: body.attitude, momentum: body.momentum });
+        self.position.add(&body.position);
+        self.velocity.add(&body.velocity);
+    }
+
+    fn statistics(&self, name: &str) -> BodyStatistics {
+        let turning = self.turning.statistics();
+        let ([mean_position, position_deviation], [mean_velocity, velocity_deviation]) =
+            (self.position.statistics(), self.velocity.statistics());
+        BodyStatistics {
+            name: name.to_owned(),
+            mean_attitude: turning.mean_attitude,
+            attitude_spread_rad: turning.attitude_spread_rad,
+            mean_body_momentum: turning.mean_body_momentum,
+            body_momentum_deviation: turning.body_momentum_deviation,
+            mean_position,
+            position_deviation,
+            mean_velocity,
+            velocity_deviation,
+        }
+    }
+}
+
+/// Sums over vectors, each taken from the first.
+struct SpreadOfVector<const N: usize> {
+    first: Option<Vector<N>>,
+    count: u64,
+    sum: Vector<N>,
+    squares: Vector<N>,
+}
+
+impl<const N: usize> Default for SpreadOfVector<N> {
+    fn default() -> Self {
+        Self { first: None, count: 0, sum: Vector::zeros(), squares: Vector::zeros() }
+    }
+}
+
+impl<const N: usize> SpreadOfVector<N> {
+    fn add(&mut self, x: &Vector<N>) {
+        let from_first = x - *self.first.get_or_insert(*x);
+        self.count += 1;
+        self.sum += from_first;
+        self.squares += from_first.component_mul(&from_first);
+    }
+
+    /// Returns their mean and the standard deviation of each component.
+    fn statistics(&self) -> [Vec<f64>; 2] {
+        let count = self.count.max(1) as f64;
+        let mean = self.sum / count;
+        let variance = self.squares / count - mean.component_mul(&mean);
+        let first = self.first.unwrap_or_else(Vector::zeros);
+        [first + mean, variance.map(|x| x.max(0.0).sqrt())].map(|x| x.as_slice().to_vec())
+    }
+}
 
 /// Sums over states, each taken from the first: what they have in common would hide their
 /// differences.
-pub(super) struct Spread<const N: usize> {
+struct Spread<const N: usize> {
     first: Option<State<N>>,
     count: u64,
     turns: Mat<N>,
@@ -39,7 +158,7 @@ impl<const N: usize> Default for Spread<N> {
 }
 
 impl<const N: usize> Spread<N> {
-    pub(super) fn add(&mut self, state: &State<N>) {
+    fn add(&mut self, state: &State<N>) {
         let first = self.first.get_or_insert_with(|| state.clone());
         let turn = state.attitude - first.attitude;
         let momentum = state.momentum - first.momentum;
@@ -50,7 +169,7 @@ impl<const N: usize> Spread<N> {
         self.momenta_squared += momentum.component_mul(&momentum);
     }
 
-    pub(super) fn statistics(&self) -> EnsembleStatistics {
+    fn statistics(&self) -> EnsembleStatistics {
         let Some(first) = &self.first else {
             let zeros = vec![0.0; so::dimension(N)];
             return EnsembleStatistics {
@@ -85,11 +204,13 @@ impl<const N: usize> Spread<N> {
 /// The members that have ended.
 #[derive(Default)]
 pub(super) struct Ends<const N: usize> {
+    /// Names of several bodies.
+    bodies: Vec<String>,
     members: BTreeSet<u64>,
     steps: u64,
     /// Member 0.
     nominal: Option<Member>,
-    arrived: Spread<N>,
+    arrived: Spreads<N>,
     energy: Vec<f64>,
     orthogonality: Vec<f64>,
     drift: Vec<f64>,
@@ -100,6 +221,11 @@ pub(super) struct Ends<const N: usize> {
 }
 
 impl<const N: usize> Ends<N> {
+    /// Returns that none has ended, of bodies of these names if there are several.
+    pub(super) fn none(bodies: &[String]) -> Self {
+        Self { bodies: bodies.to_vec(), ..Self::default() }
+    }
+
     pub(super) fn add(&mut self, end: Member) {
         self.members.insert(end.member);
         self.steps += end.steps;
@@ -107,8 +233,8 @@ impl<const N: usize> Ends<N> {
             *self.stopped.entry(condition).or_default() += 1;
         }
         if end.outcome == SUCCEEDED {
-            if let Some(state) = end.last.as_ref().and_then(|last| last.point()) {
-                self.arrived.add(&state);
+            if let Some(place) = Place::of_end(&end) {
+                self.arrived.add(&place);
             }
             let Figures { energy_max_abs_error, orthogonality_max, momentum_max_drift, .. } =
                 end.figures.unwrap_or_default();
@@ -150,12 +276,21 @@ impl<const N: usize> Ends<N> {
             energy_max_abs_error: quantiles(self.energy.clone()),
             orthogonality_max: quantiles(self.orthogonality.clone()),
             momentum_max_drift: quantiles(self.drift.clone()),
-            ..self.arrived.statistics()
+            ..self.arrived.statistics(&self.bodies)
         }
     }
 
     /// Returns their part of a summary.
     pub(super) fn summary(&self, statistics: &EnsembleStatistics) -> EnsembleSummary {
+        let of_body = |body: &BodyStatistics| {
+            let spread = BodySpread {
+                attitude_spread_rad: body.attitude_spread_rad,
+                body_momentum_deviation: body.body_momentum_deviation.clone(),
+                position_deviation_m: body.position_deviation.clone(),
+                velocity_deviation_m_s: body.velocity_deviation.clone(),
+            };
+            (body.name.clone(), spread)
+        };
         EnsembleSummary {
             members: self.count(),
             succeeded: statistics.members,
@@ -165,6 +300,7 @@ impl<const N: usize> Ends<N> {
             body_momentum_deviation: statistics.body_momentum_deviation.clone(),
             energy_max_abs_error: statistics.energy_max_abs_error.map(|values| values.largest),
             orthogonality_max: statistics.orthogonality_max.map(|values| values.largest),
+            bodies: statistics.bodies.iter().map(of_body).collect(),
         }
     }
 }

@@ -388,10 +388,9 @@ pub(super) async fn get_job_member(
     let unknown = || Problem::not_found("ended member with this number");
     let number: u64 = number.ok_or_else(unknown)?;
     let (path, _) = readable(&app, id).await?;
-    let start = app.pictures.start(path, number).await?.ok_or_else(unknown)?;
+    let member = app.pictures.member(path, number).await?.ok_or_else(unknown)?;
     let scenario = app.engine.settled(id).await?.ok_or_else(unknown)?;
-    let alone = scenario.member(number, &start.attitude, &start.body_momentum);
-    Ok(json_text(alone.ok_or_else(unknown)?.to_json()))
+    Ok(json_text(scenario.member(&member).ok_or_else(unknown)?.to_json()))
 }
 
 /// Returns the log of a job as far as it is on the disk and, for one that has not ended, the time

@@ -1,18 +1,21 @@
 // All members of an ensemble: where their values lie over time, and those that stand out, each a run of its own at a click.
 const SPREADS = {
-  distance: "Distance from member 0", axis_angle: "Angle of an axis", angular_velocity: "Angular velocity",
+  distance: "Distance from member 0", place_distance: "Distance in space from member 0", axis_angle: "Angle of an axis", angular_velocity: "Angular velocity",
   energy_error: "Energy error", orthogonality_error: "Orthogonality error", momentum_drift: "Momentum drift",
 };
+// Of several bodies these are the largest of all.
+const OF_EACH = ["distance", "place_distance", "axis_angle", "angular_velocity"];
 const ORDERS = { largest: "Largest first", smallest: "Smallest first", failed: "Failed first", member: "By number" };
 const ROWS = 10;
 
 class Members {
-  // `n` is the dimension of the body.
-  constructor(job, n) {
+  constructor(job) {
     [this.job, this.page, this.shown] = [job, 0, 0];
+    const { dimension: n, bodies } = job.plan;
+    const { place_distance, ...ofOne } = SPREADS;
     const options = names => Object.entries(names).map(([value, name]) => h("option", { value }, name));
     const again = () => { [this.page, this.shown] = [0, 0]; this.load(); };
-    this.curve = h("select", { ariaLabel: "Quantity of the members", onchange: () => { this.axis.hidden = this.curve.value !== "axis_angle"; this.log.checked = ERRORS.includes(this.curve.value); again(); } }, options(SPREADS));
+    this.curve = h("select", { ariaLabel: "Quantity of the members", onchange: () => { this.axis.hidden = this.curve.value !== "axis_angle"; this.log.checked = ERRORS.includes(this.curve.value); again(); } }, options(bodies?.length ? SPREADS : ofOne));
     this.axis = h("select", { ariaLabel: "Axis", hidden: true, onchange: again }, Array.from({ length: n }, (_, k) => h("option", { value: k + 1 }, `axis ${k + 1}`)));
     this.axis.value = n;
     this.log = h("input", { type: "checkbox", onchange: () => this.draw() });
@@ -101,7 +104,7 @@ class Members {
     const row = found.rows[this.shown];
     if (t === null) {
       const failed = Object.values(found.failed).reduce((sum, count) => sum + count, 0);
-      putProse(this.words, `${SPREADS[found.channel]}${found.unit ? ` in ${found.unit}` : ""} of ${count(found.members)} members${failed ? `, ${count(failed)} of them failed` : ""}: the bands hold all, nine tenths and half of them; the line in the middle is the median${row ? `, the other line is member ${row.member}` : ""}.`);
+      putProse(this.words, `${SPREADS[found.channel]}${found.unit ? ` in ${found.unit}` : ""} of ${count(found.members)} members${this.job.plan.bodies?.length && OF_EACH.includes(found.channel) ? ", the largest of the bodies" : ""}${failed ? `, ${count(failed)} of them failed` : ""}: the bands hold all, nine tenths and half of them; the line in the middle is the median${row ? `, the other line is member ${row.member}` : ""}.`);
       return;
     }
     const k = latest(found.time_s, t);

@@ -160,7 +160,7 @@ async function viewJob(id) {
       drawn.replaceChildren(h("h3", {}, job.plan?.ensemble ? "Member 0 over time" : "Over time"), chart.root);
     }
     if (!members && job.plan?.ensemble) {
-      members = new Members(job, job.plan.dimension);
+      members = new Members(job);
       crowd.replaceChildren(members.root);
     }
     // Not under the pointer.

@@ -11,11 +11,12 @@ use nalgebra::DMatrix;
 use super::{Begin, End, HARDLY, LEAST_NS, Measured, Point, Probe, Sizes, size};
 use crate::assemble::{BodiesAssembly, BodiesTask, assembled_bodies};
 use crate::plan::Plan;
+use crate::scenario::Ensemble;
 use crate::solve::bodies::trajectory::{self, BodySample, Course, Sample, Sink, Trajectory};
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::so::{Mat, Vector};
 use crate::solve::work::Work;
-use crate::study::Watch;
+use crate::study::{Watch, spread};
 
 impl Point {
     /// Returns the point at which bodies are seen.
@@ -53,6 +54,7 @@ impl Point {
 /// See [`super::measure`].
 pub(super) struct Measurement<'a> {
     pub(super) probe: Probe<'a>,
+    pub(super) ensemble: Option<&'a Ensemble>,
     pub(super) watch: &'a Watch,
     pub(super) most_sweeps: u64,
 }
@@ -61,12 +63,15 @@ impl BodiesTask for Measurement<'_> {
     type Output = Measured;
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Measured {
-        let Self { probe, watch, most_sweeps } = self;
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let Self { probe, ensemble, watch, most_sweeps } = self;
+        let BodiesAssembly { bodies, mut stepper, initial, .. } = assembly;
         let bodies = bodies.watched(Work::limited(most_sweeps, watch.cancelled.clone()));
-        let initial = match probe.begin {
-            Begin::Scene => initial,
-            Begin::State { point, .. } | Begin::Near(point) => point.state_of_bodies(&bodies),
+        let initial = match (probe.begin, ensemble) {
+            (Begin::State { point, .. } | Begin::Near(point), _) => point.state_of_bodies(&bodies),
+            (Begin::Scene, Some(ensemble)) => {
+                spread::start_of_bodies(&bodies, &initial, ensemble, probe.member)
+            }
+            (Begin::Scene, None) => initial,
         };
         let Probe { step_s, steps, every, energy_limit, keep, .. } = probe;
         let blown = Cell::new(false);
@@ -87,7 +92,7 @@ impl BodiesTask for Measurement<'_> {
         let end = trajectory::integrate(&bodies, stepper.as_mut(), way, &mut gauge, |_| {
             !blown.get() && !watch.is_cancelled()
         });
-        let Ok(Trajectory { ending, reached }) = end;
+        let Ok(Trajectory { ending, reached, .. }) = end;
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let seen = bodies.seen(&last).unwrap_or_default();
         let Gauge { points, series, fastest, kinetic, sizes, pushes, .. } = gauge;
@@ -223,7 +228,7 @@ impl BodiesTask for Timing {
     type Output = f64;
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> f64 {
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let BodiesAssembly { bodies, mut stepper, initial, .. } = assembly;
         let begun = Instant::now();
         let mut made = 0;
         while made == 0 || begun.elapsed().as_nanos() < LEAST_NS {
@@ -258,7 +263,7 @@ impl BodiesTask for FirstStepsOfBodies {
     type Output = Option<(f64, f64)>;
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let BodiesAssembly { bodies, mut stepper, initial, .. } = assembly;
         let begun = Instant::now();
         stepper.start(&initial);
         let (mut steps, mut of_first) = (0_u32, Duration::ZERO);
