@@ -14,11 +14,11 @@ use crate::solve::hamiltonian::TimeScale;
 use crate::solve::lanes::WIDTH;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::Stepper;
+use crate::solve::stepper::explicit_so3::{ExplicitEnsemble, ExplicitSo3};
 use crate::solve::stepper::lgvi::Lgvi;
 use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
 use crate::solve::stepper::rk::Rk;
 use crate::solve::stepper::rkmk::Rkmk;
-use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_adaptive::VpdAdaptive;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
@@ -293,6 +293,9 @@ impl Integrator {
 
     /// Returns the stepper for n = 3, wherever the body goes.
     pub(crate) fn in_three_dimensions(self, parts: Parts) -> Option<Box<dyn Stepper<3>>> {
+        if let Some(explicit) = self.explicit_in_three_dimensions(&parts) {
+            return Some(Box::new(explicit));
+        }
         let in_lanes = parts.tableau.stages() <= WIDTH;
         let Parts { tableau, order, stop, carries_attitude, own_steps } = parts;
         Some(match self {
@@ -301,7 +304,6 @@ impl Integrator {
             Self::VpdReduced if in_lanes => {
                 Box::new(VpdSo3::new(tableau, stop)?.reduced(carries_attitude))
             }
-            Self::Splitting => Box::new(Splitting::new(order)?),
             Self::Lgvi => Box::new(Lgvi::new(order, stop)?),
             Self::QuaternionGauss => Box::new(QuaternionGauss::new(tableau.stages(), stop)?),
             _ => {
@@ -311,13 +313,25 @@ impl Integrator {
         })
     }
 
+    /// Returns an explicit method for n = 3 in vectors; `None` for any other method, and for more stages than it takes.
+    fn explicit_in_three_dimensions(self, parts: &Parts) -> Option<ExplicitSo3> {
+        let tableau = || parts.tableau.clone();
+        match self {
+            Self::Rk => ExplicitSo3::rk(tableau(), false),
+            Self::RkProjected => ExplicitSo3::rk(tableau(), true),
+            Self::Rkmk => ExplicitSo3::rkmk(tableau()),
+            Self::Splitting => ExplicitSo3::splitting(parts.order),
+            _ => None,
+        }
+    }
+
     /// Returns a stepper for members of an ensemble side by side, where that is quicker than one
     /// after the other; `None` elsewhere. (Free bodies are stepped individually: each step begins
     /// where that member's steps before lead.)
     pub(crate) fn side_by_side(self, parts: &Parts) -> Option<Box<dyn Members<3>>> {
         match self {
             Self::Vpd => Some(Box::new(VpdEnsemble::new(&parts.tableau, parts.stop)?)),
-            _ => None,
+            _ => Some(Box::new(ExplicitEnsemble::new(self.explicit_in_three_dimensions(parts)?))),
         }
     }
 

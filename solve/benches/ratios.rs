@@ -16,7 +16,11 @@ use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::explicit_so3::{ExplicitEnsemble, ExplicitSo3};
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
+use vpd_solve::stepper::rk::Rk;
+use vpd_solve::stepper::rkmk::Rkmk;
+use vpd_solve::stepper::splitting::Splitting;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
@@ -26,7 +30,7 @@ use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
 
 fn main() {
-    let parts: [(&str, fn()); 10] = [
+    let parts: [(&str, fn()); 11] = [
         ("against_vrkmk", against_vrkmk),
         ("one_trajectory", one_trajectory),
         ("any_dimension", any_dimension),
@@ -34,6 +38,7 @@ fn main() {
         ("free_bodies", free_bodies),
         ("long_run", long_run),
         ("ensembles", ensembles),
+        ("explicit_ensembles", explicit_ensembles),
         ("ensemble_on_all_cores", ensemble_on_all_cores),
         ("largest_steps", largest_steps),
         ("growth", growth),
@@ -698,6 +703,80 @@ fn ensembles() {
             pairs / together,
             without / together,
             without / alone
+        ));
+    }
+}
+
+/// A method in vectors, and the same in matrices.
+type Explicit = (Option<ExplicitSo3>, Box<dyn Stepper<3>>);
+
+fn rk(tableau: Tableau, projected: bool) -> Explicit {
+    let matrices = Rk::new(tableau.clone(), projected).expect("explicit");
+    (ExplicitSo3::rk(tableau, projected), Box::new(matrices))
+}
+
+fn rkmk(tableau: Tableau) -> Explicit {
+    let matrices = Rkmk::new(tableau.clone()).expect("explicit");
+    (ExplicitSo3::rkmk(tableau), Box::new(matrices))
+}
+
+fn splitting(order: u32) -> Explicit {
+    let matrices = Splitting::new(order).expect("even");
+    (ExplicitSo3::splitting(order), Box::new(matrices))
+}
+
+fn explicit_ensembles() {
+    say(
+        "\n## Eight members of explicit methods in lanes against one at a time, a core (ns a step and member)\n",
+    );
+    say(
+        "| method | h | in lanes | alone | in matrices | alone / lanes | matrices / lanes | matrices / alone |\n|---|---|---|---|---|---|---|---|",
+    );
+    let (body, _) = &dipole();
+    let states = spread();
+    let everybody: Vec<usize> = (0..states.len()).collect();
+    let methods = [
+        ("`rk`, `rk4`", 0.01, rk(Tableau::rk4(), false)),
+        ("`rk`, `rk8`", 0.02, rk(Tableau::rk8(), false)),
+        ("`rk_projected`, `rk4`", 0.01, rk(Tableau::rk4(), true)),
+        ("`rk_projected`, `rk8`", 0.02, rk(Tableau::rk8(), true)),
+        ("`rkmk`, `rk4`", 0.01, rkmk(Tableau::rk4())),
+        ("`rkmk`, `rk8`", 0.02, rkmk(Tableau::rk8())),
+        ("`splitting`, order 2", 0.01, splitting(2)),
+        ("`splitting`, order 4", 0.01, splitting(4)),
+        ("`splitting`, order 8", 0.02, splitting(8)),
+    ];
+    for (name, h, (vectors, mut matrices)) in methods {
+        // Short, and often: on a machine that is shared a long stretch is never without others.
+        let steps = 64;
+        let mut alone = vectors.expect("few stages");
+        let mut ensemble = ExplicitEnsemble::new(alone.clone());
+        let mut least = [f64::INFINITY; 3];
+        for _ in 0..300 {
+            ensemble.start(&states);
+            let begun = Instant::now();
+            for _ in 0..steps {
+                ensemble.step(body, 0.0, h, &everybody, &mut |_, _| {});
+            }
+            least[0] = least[0].min(begun.elapsed().as_secs_f64());
+            let one_by_one: [&mut dyn Stepper<3>; 2] = [&mut alone, matrices.as_mut()];
+            for (stepper, least) in one_by_one.into_iter().zip(&mut least[1..]) {
+                let begun = Instant::now();
+                for state in &states {
+                    stepper.start(state);
+                    for _ in 0..steps {
+                        let _ = stepper.step(body, h);
+                    }
+                }
+                *least = least.min(begun.elapsed().as_secs_f64());
+            }
+        }
+        let [together, alone, matrices] = least.map(|least| least * 1e9 / (f64::from(steps) * 8.0));
+        say(&format!(
+            "| {name} | {h} | {together:.0} | {alone:.0} | {matrices:.0} | {:.1} | {:.1} | {:.2} |",
+            alone / together,
+            matrices / together,
+            matrices / alone
         ));
     }
 }

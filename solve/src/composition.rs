@@ -62,7 +62,7 @@ pub struct Drift {
 pub struct TopSum {
     /// The point.
     pub top: Top,
-    carry: Top,
+    pub(crate) carry: Top,
 }
 
 impl From<Top> for TopSum {

@@ -38,6 +38,8 @@ use nalgebra::{Matrix3, Quaternion, Vector3};
 
 use super::composition::Drift;
 
+pub(crate) mod short;
+
 /// Longest piece in units of the argument u of Jacobi's functions. The nearest poles are at least pi / 2
 /// away from the real axis: eight terms of the series of S^2 leave 1e-17, five nodes leave 1e-18.
 const LONGEST_PIECE: f64 = 0.125;

@@ -41,7 +41,10 @@ mod dispatch;
 mod serial;
 mod simd;
 
-pub(crate) use dispatch::{extras, in_eight_stage_lanes, in_lanes, in_stage_lanes, widest};
+pub(crate) use dispatch::{
+    extras, has_member_lanes, in_eight_stage_lanes, in_lanes, in_member_lanes, in_stage_lanes,
+    widest,
+};
 pub use serial::Rows;
 
 /// The most lanes that there are.

@@ -105,6 +105,12 @@ pub fn transposed_matrix_product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
     mat3!(i, j => a[0][i] * b[0][j] + a[1][i] * b[1][j] + a[2][i] * b[2][j])
 }
 
+/// `A B`
+#[inline(always)]
+pub fn matrix_product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
+    mat3!(i, j => a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j])
+}
+
 /// `M hat(v)`: each row r becomes `r x v`.
 #[inline(always)]
 pub fn times_hat<T: Real>(m: &Mat3<T>, v: &Vec3<T>) -> Mat3<T> {
@@ -161,6 +167,65 @@ pub fn inverse_less_half<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T>
         (off_xz - (*xz + *xz)) * scale,
         (off_xy - (*xy + *xy)) * scale,
     ]
+}
+
+/// `I - M^T M`, each product taken off the identity: see [`crate::so::norm_error`].
+#[inline(always)]
+pub fn norm_error<T: Real>(m: &Mat3<T>) -> Sym3<T> {
+    let [a, b, c] = m;
+    macro_rules! entry {
+        ($one:literal, $i:literal, $j:literal) => {
+            ((-(a[$i] * a[$j]) + $one) - b[$i] * b[$j]) - c[$i] * c[$j]
+        };
+    }
+    [
+        entry!(1.0, 0, 0),
+        entry!(1.0, 1, 1),
+        entry!(1.0, 2, 2),
+        entry!(0.0, 1, 2),
+        entry!(0.0, 0, 2),
+        entry!(0.0, 0, 1),
+    ]
+}
+
+/// `M + M E / 2` with `E = I - M^T M`, given E: a step of Newton and Schulz towards the nearest rotation, which squares E.
+#[inline(always)]
+pub fn mended<T: Real>(m: &Mat3<T>, error: &Sym3<T>) -> Mat3<T> {
+    vec3!(i => {
+        let change = symmetric_product(error, &m[i]);
+        vec3!(j => m[i][j] + change[j] * 0.5)
+    })
+}
+
+/// Largest square of an angle in radians for which [`sine_series`] is exact to round-off.
+pub const SERIES_UP_TO: f64 = 1.0;
+
+/// `sin(t) / t` and `(1 - cos(t)) / t^2`, given t^2 up to [`SERIES_UP_TO`]: Taylor's series, of which nine terms leave 1e-17.
+#[inline(always)]
+pub fn sine_series<T: Real>(square: T) -> [T; 2] {
+    let (mut sine, mut versine) = (square.constant(1.0), square.constant(1.0));
+    for k in (1..9_u32).rev() {
+        let last = f64::from(2 * k + 1);
+        sine = sine * square * (-1.0 / (last * (last - 1.0))) + 1.0;
+        versine = versine * square * (-1.0 / ((last + 1.0) * last)) + 1.0;
+    }
+    [sine, versine * 0.5]
+}
+
+/// `exp(hat(v))`, given the square of v, at most [`SERIES_UP_TO`]: Rodrigues (1840), see [`crate::so::exp`].
+#[inline(always)]
+pub fn exp<T: Real>(v: &Vec3<T>, square: T) -> Mat3<T> {
+    let [a, b] = sine_series(square);
+    let [x, y, z] = *v;
+    let (bx, by, bz) = (b * x, b * y, b * z);
+    let (xy, xz, yz) = (bx * y, bx * z, by * z);
+    let (xx, yy, zz) = (bx * x, by * y, bz * z);
+    let (ax, ay, az) = (a * x, a * y, a * z);
+    with_one(&[
+        [-(yy + zz), xy - az, xz + ay],
+        [xy + az, -(xx + zz), yz - ax],
+        [xz - ay, yz + ax, -(xx + yy)],
+    ])
 }
 
 /// A quaternion `w + v`; of length one it is a rotation.

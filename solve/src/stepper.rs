@@ -30,6 +30,7 @@ pub mod at_rest;
 pub mod vrkmk;
 pub mod rkmk;
 pub mod rk;
+pub mod explicit_so3;
 pub mod splitting;
 pub mod lgvi;
 pub mod quaternion_gauss;

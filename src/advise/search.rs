@@ -72,8 +72,10 @@ pub(super) struct Choice {
     pub(super) step_s: f64,
     /// The error expected at the end of the run.
     pub(super) expected: f64,
-    /// Cost of a second of motion.
+    /// Cost of a second of motion, in a run by itself.
     cost_ns: f64,
+    /// Part of that which a member of the ensemble takes: [`crate::plan::Plan::part_of_member`].
+    part: f64,
     /// The time to which the run was seen.
     pub(super) seen_s: f64,
     /// Whether that is as far as it can be seen.
@@ -95,8 +97,9 @@ pub(super) struct Contender {
 }
 
 impl Contender {
+    /// Returns the cost of a second of motion, of a member where there is an ensemble.
     pub(super) fn cost_ns(&self) -> f64 {
-        self.choice.map_or(f64::INFINITY, |choice| choice.cost_ns)
+        self.choice.map_or(f64::INFINITY, |choice| choice.part * choice.cost_ns)
     }
 
     /// Returns its entry in the plan.
@@ -107,7 +110,7 @@ impl Contender {
             tableau: entry.tableau.clone(),
             step_s: choice.map(|choice| choice.step_s),
             expected_error: choice.map_or(*least, |choice| Some(choice.expected)),
-            cost_us: choice.map(|choice| 1e-3 * choice.cost_ns),
+            cost_us: choice.map(|_| 1e-3 * self.cost_ns()),
         }
     }
 }
@@ -166,6 +169,11 @@ fn multiple(steps: f64, of: u64) -> u64 {
 impl Trial<'_> {
     fn is_whole(&self) -> bool {
         self.duration_s <= self.far.time_s
+    }
+
+    /// Number of members of the ensemble; one without one.
+    fn members(&self) -> u64 {
+        self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members)
     }
 
     fn goal(&self) -> f64 {
@@ -249,7 +257,9 @@ impl Trial<'_> {
         let mut steps = multiple(time_s * self.scales.fastest_rad_s, unit);
         let (mut reached, mut least) = (None::<(u64, Choice)>, None::<f64>);
         let (mut too_few, mut is_dear) = (0, false);
-        let usual_ns = variant(self.scenario, &entry.method, 1.0, 1)?.step_ns;
+        let plan = variant(self.scenario, &entry.method, 1.0, 1)?;
+        let part = plan.part_of_member(self.members());
+        let usual_ns = part * plan.step_ns;
         for _ in 0..TRIES {
             is_dear = reached.is_none() && usual_ns * steps as f64 > TOO_DEAR * cheapest * time_s;
             if is_dear {
@@ -267,7 +277,8 @@ impl Trial<'_> {
                         let step_s = time_s / steps as f64;
                         let seen_s = self.near.time_s;
                         let sure = seen_s >= self.duration_s;
-                        reached = Some((steps, Choice { step_s, expected, cost_ns, seen_s, sure }));
+                        let choice = Choice { step_s, expected, cost_ns, part, seen_s, sure };
+                        reached = Some((steps, choice));
                     }
                     libm::pow(expected.max(ROUND_OFF) / goal, 1.0 / f64::from(entry.order))
                 }
@@ -276,7 +287,7 @@ impl Trial<'_> {
             if expected.is_none_or(|expected| expected > goal) {
                 too_few = too_few.max(steps);
             }
-            is_dear = reached.is_none() && cost_ns > 2.0 * cheapest;
+            is_dear = reached.is_none() && part * cost_ns > 2.0 * cheapest;
             if is_dear {
                 break;
             }
@@ -346,7 +357,8 @@ impl Trial<'_> {
             }
             if let Some(expected) = expected.filter(|&expected| expected <= self.goal()) {
                 let whole = self.is_whole();
-                let reached = Choice { step_s, expected, cost_ns, seen_s: time_s, sure: whole };
+                let reached =
+                    Choice { step_s, expected, cost_ns, seen_s: time_s, sure: whole, ..at };
                 if sure.is_none_or(|sure| reached.cost_ns < sure.cost_ns) {
                     *sure = Some(reached);
                 }
@@ -382,7 +394,7 @@ impl Trial<'_> {
     /// Returns the time to which a choice may be followed for this share of the remaining work, in
     /// all members.
     fn affordable_s(&self, choice: Choice, part: f64, watch: &Watch) -> f64 {
-        let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
+        let members = self.members();
         let allowed_ns = part * watch.left_ns() as f64 / members as f64;
         self.duration_s.min(allowed_ns / (RUN_AND_HALF * choice.cost_ns))
     }
@@ -460,7 +472,8 @@ impl Trial<'_> {
             });
             if let Some(expected) = expected.filter(|&expected| expected <= goal) {
                 let cost_ns = run.cost_ns / time_s;
-                let seen = Choice { step_s, expected, cost_ns, seen_s: time_s, sure: true };
+                let seen =
+                    Choice { step_s, expected, cost_ns, seen_s: time_s, sure: true, ..choice };
                 if reached.is_none_or(|reached| seen.cost_ns < reached.cost_ns) {
                     reached = Some(seen);
                 }
@@ -536,7 +549,7 @@ impl Trial<'_> {
         mut choice: Choice,
         watch: &Watch,
     ) -> Result<Choice, Unmet> {
-        let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
+        let members = self.members();
         let left_ns = watch.left_ns();
         let until_s = choice.seen_s;
         let far = Some(self.far.clone());

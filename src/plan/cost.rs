@@ -289,7 +289,8 @@ impl Plan {
         if parts == 0 && self.model.wheels.is_none() {
             return [0.0; 2];
         }
-        if self.is_in_lanes() {
+        let in_vectors = self.dimension == 3 && self.formulation.method.is_explicit();
+        if self.is_in_lanes() || in_vectors {
             let gradient = GRADIENT_IN_LANES_NS * (1.0 + faces as f64);
             return [gradient, PART_NS * (0.5 + parts as f64)];
         }
@@ -312,6 +313,25 @@ impl Plan {
         }
         let equations = (2.0 * stages + 2.0) * so::dimension(self.dimension) as f64;
         EQUATION_NS * equations + FACTOR_NS * equations * equations * equations
+    }
+
+    /// Returns about which part of the time of a run by itself a member of an ensemble takes, where up to eight go side by side in
+    /// lanes; one where they do not (`cargo bench -p vpd-solve --bench ratios -- ensembles explicit_ensembles`).
+    pub(crate) fn part_of_member(&self, members: u64) -> f64 {
+        /// By the number of stages.
+        const OF_VPD: [f64; 4] = [0.14, 0.23, 0.4, 0.55];
+        const EXPLICIT: f64 = 0.26;
+        let Formulation { method, stages, .. } = self.formulation;
+        let side_by_side = match method {
+            _ if self.dimension != 3 || self.settled.scene.control.is_some() => 1.0,
+            Integrator::Vpd => OF_VPD.get(stages - 1).copied().unwrap_or(1.0),
+            Integrator::Splitting => EXPLICIT,
+            method if method.is_explicit() => EXPLICIT,
+            _ => 1.0,
+        };
+        // Lanes without a member take their time, too.
+        let filled = members.min(WIDTH as u64) as f64 / WIDTH as f64;
+        (side_by_side / filled).min(1.0)
     }
 
     /// Is a step computed in lanes of n = 3? More stages than lanes are computed as for general n.

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 use vpd::advise::{self, ErrorAtEnd, Obstacle, Settled, Unsettled, error_at_end};
+use vpd::method::Integrator;
 use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, execute};
 use vpd::scenario::{Scenario, ScenarioError};
@@ -218,6 +219,42 @@ fn the_choice_is_the_cheapest_of_those_tried() {
     let cost = finer.advice.and_then(|advice| advice.candidates[0].cost_us);
     // The cheapest method for one may be good enough for the other.
     assert!(cost.is_some_and(|cost| cost >= costs[0]), "{cost:?} {costs:?}");
+}
+
+/// Of an ensemble counts what a member costs among others: less than by itself where they go side by side in lanes.
+#[test]
+fn members_side_by_side_are_cheaper() {
+    let alone = accurate_dipole(1e-8, 0.5);
+    let mut together = alone.clone();
+    together["ensemble"] = json!({ "members": 16, "attitude_spread_rad": 1e-9 });
+    let [alone, together] = [alone, together].map(|asked| {
+        let plan = advise::plan(&scenario(&asked)).expect("a choice");
+        plan.advice.expect("the choice is reported").candidates
+    });
+    let mut compared = 0;
+    for member in &together {
+        let same = alone.iter().find(|run| {
+            (run.method, &run.tableau, run.step_s)
+                == (member.method, &member.tableau, member.step_s)
+        });
+        let costs = same.and_then(|run| Some((run.cost_us?, member.cost_us?)));
+        let Some((by_itself, among_others)) = costs else { continue };
+        let part = among_others / by_itself;
+        println!("{:?} {}: {part:.2}", member.method, member.tableau);
+        match member.method {
+            Integrator::RkProjected | Integrator::Rkmk | Integrator::Splitting => {
+                compared += 1;
+                assert!(part < 0.4, "{member:?}: {part}");
+            }
+            Integrator::Lgvi | Integrator::QuaternionGauss => {
+                assert!(part > 0.9, "{member:?}: {part}");
+            }
+            _ => {}
+        }
+    }
+    assert!(compared > 0);
+    let costs: Vec<f64> = together.iter().filter_map(|tried| tried.cost_us).collect();
+    assert!(costs.is_sorted(), "{costs:?}");
 }
 
 #[test]

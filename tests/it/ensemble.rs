@@ -146,11 +146,19 @@ fn a_member_is_the_same_in_any_ensemble() {
         (dipole(), json!({ "name": "vpd", "tableau": "gauss2" })),
         (free, json!({ "name": "auto", "tableau": "gauss2" })),
         (dual_spin(), json!({ "name": "vpd", "tableau": "gauss2" })),
+        (dipole(), json!({ "name": "rk", "tableau": "rk4" })),
+        (dual_spin(), json!({ "name": "rk_projected", "tableau": "rk8" })),
+        (dipole(), json!({ "name": "rkmk", "tableau": "rk4" })),
+        (dipole(), json!({ "name": "splitting", "order": 4 })),
     ] {
         let mut ends = Vec::new();
-        for (members, in_full) in
-            [(5, json!([])), (19, json!([2, 4])), (40, json!([1, 7, 8, 9, 10, 11, 12]))]
-        {
+        for (members, in_full) in [
+            (5, json!([])),
+            (9, json!([3])),
+            (17, json!([1, 2, 3, 4, 5, 6, 7])),
+            (19, json!([2, 4])),
+            (40, json!([1, 7, 8, 9, 10, 11, 12])),
+        ] {
             let mut scenario = ensemble(scene.clone(), members, 60, &method);
             scenario["ensemble"]["in_full"] = in_full;
             run(&checked(&scenario), &log);
@@ -300,7 +308,9 @@ fn members_stop_where_their_own_condition_holds() {
         (dipole(), json!({ "name": "vpd", "tableau": "gauss2" }), 60),
         (dipole(), json!({ "name": "vpd", "tableau": "gauss6" }), 60),
         (dipole(), json!({ "name": "splitting", "order": 4 }), 60),
+        (dipole(), json!({ "name": "rkmk", "tableau": "rk4" }), 60),
         (dual_spin(), json!({ "name": "vpd", "tableau": "gauss2" }), 60),
+        (dual_spin(), json!({ "name": "rk_projected", "tableau": "rk8" }), 60),
     ] {
         let mut scenario = ensemble(scene, 20, steps, &method);
         scenario["log"]["every"] = json!(1);
@@ -418,8 +428,10 @@ fn the_table_of_members_names_the_condition() {
 fn an_interrupted_ensemble_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().expect("a folder");
     let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
-    for (scene, tableau) in [(dipole(), "gauss3"), (dual_spin(), "gauss2")] {
-        let method = json!({ "name": "vpd", "tableau": tableau });
+    for (scene, name, tableau) in
+        [(dipole(), "vpd", "gauss3"), (dual_spin(), "vpd", "gauss2"), (dual_spin(), "rkmk", "rk4")]
+    {
+        let method = json!({ "name": name, "tableau": tableau });
         let mut scenario = ensemble(scene, 1500, 60, &method);
         scenario["log"]["every"] = json!(1);
         // Some members stop before their time.

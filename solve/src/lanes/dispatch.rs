@@ -1,5 +1,7 @@
 //! Work in lanes, compiled for the instruction sets on which it gains, and done on the widest that there is.
 
+use fearless_simd::Level;
+
 /// Does the work in lanes of a wide instruction set, compiled for it, if there is one; else the other.
 // Not for every instruction set: a piece of work is compiled once for each. The additional
 // registers of AVX-512 make few lanes of n = 3 faster by a tenth, and four lanes of n = 16; two
@@ -142,4 +144,40 @@ macro_rules! in_lanes {
     };
 }
 
-pub(crate) use {in_eight_stage_lanes, in_lanes, in_stage_lanes, widest};
+/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `$lanes` is
+/// `$stages` stages in lanes, and `EXTRAS` the set of extras that it is compiled for.
+macro_rules! in_member_lanes {
+    ($level:ident, $stages:literal, $extras:ident, $lanes:ident => $work:expr) => {{
+        #[cfg(target_arch = "x86_64")]
+        match ($extras, $level.as_avx512(), $level.as_avx2()) {
+            (0, Some(simd), _) => in_member_lanes!(@on simd, $stages, 0, $lanes => $work),
+            (0, None, Some(simd)) => in_member_lanes!(@on simd, $stages, 0, $lanes => $work),
+            (_, _, Some(simd)) => in_member_lanes!(@on simd, $stages, { $crate::lanes::extras::DRIVEN }, $lanes => $work),
+            (_, _, None) => unreachable!("members go by themselves here"),
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        unreachable!("members go by themselves here")
+    }};
+    (@on $simd:ident, $stages:literal, $extras:expr, $lanes:ident => $work:expr) => {
+        $simd.vectorize(
+            #[inline(always)]
+            || {
+                #[allow(dead_code, reason = "not all work has extras")]
+                const EXTRAS: u8 = $extras;
+                let zero = fearless_simd::f64x8::from_slice($simd, &$crate::lanes::aligned_zero().0);
+                let $lanes = $crate::lanes::Rows([zero; $stages]);
+                $work
+            },
+        )
+    };
+}
+
+/// Is this an instruction set on which members side by side gain?
+pub(crate) fn has_member_lanes(level: Option<Level>) -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return level.is_some_and(|level| level.as_avx2().is_some());
+    #[cfg(not(target_arch = "x86_64"))]
+    return false;
+}
+
+pub(crate) use {in_eight_stage_lanes, in_lanes, in_member_lanes, in_stage_lanes, widest};

@@ -15,10 +15,15 @@
 use std::f64::consts::FRAC_PI_2;
 
 use super::checks::check_branch;
+use super::explicit_so3::{
+    AtStage, End, Law, NUMBERS, Rates, attitude_and_momentum, packed, parts, with_rates,
+};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{RigidBody, WorkAndImpulse};
+use crate::lanes::StageScalar;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::space::{Mat3, dot, mended, norm_error, times_hat, vec3};
 use crate::state::State;
 use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
@@ -86,14 +91,70 @@ fn check_turn<const N: usize>(omega: &Mat<N>, h: f64) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Largest entry of `I - g^T g` from which [`ROUNDS`] of Newton and Schulz reach round-off.
+const NEAR: f64 = 1e-2;
+/// Minus the square of a quarter turn, to within rounding: beyond it a turn is in doubt.
+const QUARTER: f64 = 1e-9 - FRAC_PI_2 * FRAC_PI_2;
+/// Number of rounds of Newton and Schulz.
+const ROUNDS: usize = 3;
+
+/// The step for n = 3 in vectors: see [`super::explicit_so3`].
+#[inline(always)]
+pub(super) fn in_vectors<R: StageScalar, const EXTRAS: u8>(
+    tableau: &Tableau,
+    projected: bool,
+    law: &mut Law<'_, R>,
+    h: f64,
+    state: &[R; NUMBERS],
+    rates: &mut [Rates<R::Storage>],
+) -> End<R> {
+    let (g0, mu0) = attitude_and_momentum(state);
+    let mut doubt = mu0[0].constant(-1.0);
+    for i in 0..tableau.stages() {
+        let parts = parts(tableau, h, Some(i));
+        let g: Mat3<R> = vec3!(row => with_rates(g0[row], &parts[..i], rates, row));
+        let mu = with_rates(mu0, &parts[..i], rates, 3);
+        let at = law.at::<EXTRAS>(i, h * tableau.b(i), &g, &mu);
+        let AtStage { omega, momentum_rate, doubt: of_stage } = at;
+        doubt = doubt.max_or_nan(of_stage);
+        if projected && i == 0 {
+            doubt = doubt.max_or_nan(dot(&omega, &omega) * (h * h) + QUARTER);
+        }
+        let attitude_rate = times_hat(&g, &omega);
+        for j in 0..3 {
+            for row in 0..3 {
+                attitude_rate[row][j].store(&mut rates[i][row][j]);
+            }
+            momentum_rate[j].store(&mut rates[i][3][j]);
+        }
+    }
+    let parts = parts(tableau, h, None);
+    let parts = &parts[..tableau.stages()];
+    let mut g: Mat3<R> = vec3!(row => with_rates(g0[row], parts, rates, row));
+    let momentum = with_rates(mu0, parts, rates, 3);
+    if projected {
+        for round in 0..ROUNDS {
+            let error = norm_error(&g);
+            if round == 0 {
+                for entry in error {
+                    doubt = doubt.max_or_nan(entry.abs() + -NEAR);
+                }
+            }
+            g = mended(&g, &error);
+        }
+        // A quarter turn: see [`check_branch`].
+        let trace = dot(&g0[0], &g[0]) + dot(&g0[1], &g[1]) + dot(&g0[2], &g[2]);
+        doubt = doubt.max_or_nan(-trace + (1.0 + 1e-9));
+    }
+    End { state: packed(&g, &momentum), doubt }
+}
+
 /// Returns the orthogonal polar factor of the end of a step. Close to the group the iteration of
 /// Newton and Schulz needs no inverse: each round squares the defect, `E <- 3/4 E^2 + E^3 / 4` for
 /// `E = I - g^T g`.
 fn projection<const N: usize>(g: &Mat<N>) -> Option<Mat<N>> {
-    const NEAR: f64 = 1e-2;
-    const ROUNDS: usize = 4;
     let mut u = *g;
-    for _ in 0..ROUNDS {
+    for _ in 0..=ROUNDS {
         let defect = Mat::<N>::identity() - so::transposed_product(&u, &u);
         let size = defect.amax();
         if !(size <= NEAR) {

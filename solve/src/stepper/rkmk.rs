@@ -16,10 +16,17 @@
 //!
 //! Invariant: the attitude is on the group to round-off. The method is not symplectic and not symmetric.
 
+use super::explicit_so3::{
+    AtStage, End, Law, NUMBERS, Rates, attitude_and_momentum, packed, parts, with_rates,
+};
 use crate::failure::Failure;
 use crate::hamiltonian::{RigidBody, WorkAndImpulse};
+use crate::lanes::StageScalar;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::space::{
+    SERIES_UP_TO, cross, dot, exp, matrix_product, mended, norm_error, plus, scaled,
+};
 use crate::state::State;
 use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
@@ -74,9 +81,14 @@ impl<const N: usize> Rkmk<N> {
         }
     }
 
+    /// Number of brackets of dexpinv.
+    pub(super) fn terms(&self) -> usize {
+        self.order.saturating_sub(2) as usize
+    }
+
     fn dexpinv(&self, sigma: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let (mut nested, mut sum) = (*omega, *omega);
-        for coefficient in DEXPINV.iter().take(self.order.saturating_sub(2) as usize) {
+        for coefficient in DEXPINV.iter().take(self.terms()) {
             // [A, B] = AB - (AB)^T for skew A and B.
             nested = so::asym(&so::product(sigma, &nested));
             if *coefficient != 0.0 {
@@ -84,6 +96,53 @@ impl<const N: usize> Rkmk<N> {
             }
         }
         sum
+    }
+}
+
+/// The step for n = 3 in vectors: see [`super::explicit_so3`]. The bracket of so(3) is the cross product.
+#[inline(always)]
+pub(super) fn in_vectors<R: StageScalar, const EXTRAS: u8>(
+    tableau: &Tableau,
+    terms: usize,
+    law: &mut Law<'_, R>,
+    h: f64,
+    state: &[R; NUMBERS],
+    rates: &mut [Rates<R::Storage>],
+) -> End<R> {
+    let (g0, mu0) = attitude_and_momentum(state);
+    let zero = mu0[0].constant(0.0);
+    let mut doubt = zero.constant(-1.0);
+    for i in 0..tableau.stages() {
+        let parts = parts(tableau, h, Some(i));
+        let sigma = with_rates([zero; 3], &parts[..i], rates, 0);
+        let mu = with_rates(mu0, &parts[..i], rates, 3);
+        let square = dot(&sigma, &sigma);
+        let g = if i == 0 { g0 } else { matrix_product(&g0, &exp(&sigma, square)) };
+        let at = law.at::<EXTRAS>(i, h * tableau.b(i), &g, &mu);
+        let AtStage { omega, momentum_rate, doubt: of_stage } = at;
+        doubt = doubt.max_or_nan(of_stage).max_or_nan(square + -SERIES_UP_TO);
+        let (mut nested, mut rate) = (omega, omega);
+        // The first sigma is zero.
+        for coefficient in DEXPINV.iter().take(if i == 0 { 0 } else { terms }) {
+            nested = cross(&sigma, &nested);
+            if *coefficient != 0.0 {
+                rate = plus(&rate, &scaled(&nested, zero.constant(*coefficient)));
+            }
+        }
+        for j in 0..3 {
+            rate[j].store(&mut rates[i][0][j]);
+            momentum_rate[j].store(&mut rates[i][3][j]);
+        }
+    }
+    let parts = parts(tableau, h, None);
+    let parts = &parts[..tableau.stages()];
+    let sigma = with_rates([zero; 3], parts, rates, 0);
+    let square = dot(&sigma, &sigma);
+    let g = matrix_product(&g0, &exp(&sigma, square));
+    // The product drifts off the group like any product; one correction puts it back.
+    End {
+        state: packed(&mended(&g, &norm_error(&g)), &with_rates(mu0, parts, rates, 3)),
+        doubt: doubt.max_or_nan(square + -SERIES_UP_TO),
     }
 }
 

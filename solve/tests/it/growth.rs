@@ -17,9 +17,9 @@ use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::explicit_so3::ExplicitSo3;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
-use vpd_solve::stepper::splitting::Splitting;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
@@ -63,7 +63,7 @@ fn quaternion_gauss(stages: usize) -> Box<dyn Stepper<3>> {
 }
 
 fn splitting(order: usize) -> Box<dyn Stepper<3>> {
-    Box::new(Splitting::new(order as u32).expect("even"))
+    Box::new(ExplicitSo3::splitting(order as u32).expect("even"))
 }
 
 fn lgvi(order: usize) -> Box<dyn Stepper<3>> {

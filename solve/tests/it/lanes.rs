@@ -9,8 +9,11 @@ use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::{Rung, Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
+use vpd_solve::stepper::explicit_so3::{ExplicitEnsemble, ExplicitSo3};
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::rk::Rk;
+use vpd_solve::stepper::rkmk::Rkmk;
+use vpd_solve::stepper::splitting::Splitting;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_plane::{Plane, VpdPlane};
@@ -401,7 +404,7 @@ fn a_member_that_is_solved_and_refused_is_refused_as_by_itself() {
 }
 
 /// Makes a hundred steps of the members together and of each by itself, without lanes; returns
-/// which fail, and how. A member that has failed tries again for a while, and then is left behind.
+/// which fail, and how.
 fn together_and_alone(
     body: &RigidBody<3>,
     states: &[State<3>],
@@ -409,14 +412,28 @@ fn together_and_alone(
     h: f64,
 ) -> BTreeSet<(usize, &'static str)> {
     let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
-    let mut ensemble = VpdEnsemble::new(&tableau, StopRule::default()).expect("1 to 8 stages");
+    let ensemble = VpdEnsemble::new(&tableau, StopRule::default()).expect("1 to 8 stages");
+    let own = in_lanes(&tableau, true).on_level(None);
+    compare(&format!("{stages} stages"), body, states, h, &ensemble, &own)
+}
+
+/// As above, of any method. A member that has failed tries again for a while, and then is left behind.
+fn compare<M: Members<3> + Clone, S: Stepper<3> + Clone>(
+    name: &str,
+    body: &RigidBody<3>,
+    states: &[State<3>],
+    h: f64,
+    ensemble: &M,
+    own: &S,
+) -> BTreeSet<(usize, &'static str)> {
+    let mut ensemble = ensemble.clone();
     ensemble.start(states);
     let mut going: Vec<usize> = (0..states.len()).collect();
     let mut together = Vec::new();
-    let mut alone: Vec<VpdSo3> = states
+    let mut alone: Vec<S> = states
         .iter()
         .map(|state| {
-            let mut stepper = in_lanes(&tableau, true).on_level(None);
+            let mut stepper = own.clone();
             stepper.start(state);
             stepper
         })
@@ -433,7 +450,7 @@ fn together_and_alone(
             let own = Knots::default().step(body, &mut alone[m], begun_s, h);
             let own = own.map_err(|failure| failure.code);
             let result = result.map_err(|failure| failure.code);
-            assert_eq!(own, result, "{stages} stages, step {step}, member {m}");
+            assert_eq!(own, result, "{name}, step {step}, member {m}");
             failures.extend(result.err().map(|code| (m, code.as_str())));
         }
         if step == 50 {
@@ -445,7 +462,8 @@ fn together_and_alone(
                 let member = ensemble.member(m);
                 assert_eq!(
                     stepper.attitude().as_ref().map(bits),
-                    member.attitude().as_ref().map(bits)
+                    member.attitude().as_ref().map(bits),
+                    "{name}, step {step}, member {m}"
                 );
                 assert_eq!(bits(&stepper.momentum()), bits(&member.momentum()));
                 assert_eq!(stepper.sigma_min(), member.sigma_min());
@@ -458,6 +476,161 @@ fn together_and_alone(
             }
         }
     }
-    println!("{stages} stages, h = {h}: {failures:?}");
+    println!("{name}, h = {h}: {failures:?}");
     failures
+}
+
+/// Every explicit method in vectors, and the same in matrices.
+fn explicit() -> Vec<(String, ExplicitSo3, Box<dyn Stepper<3>>)> {
+    let mut methods: Vec<(String, ExplicitSo3, Box<dyn Stepper<3>>)> = Vec::new();
+    for (name, tableau) in
+        [("rk3", Tableau::rk3()), ("rk4", Tableau::rk4()), ("rk8", Tableau::rk8())]
+    {
+        for projected in [false, true] {
+            let vectors = ExplicitSo3::rk(tableau.clone(), projected).expect("explicit");
+            let matrices = Rk::new(tableau.clone(), projected).expect("explicit");
+            methods.push((
+                format!("rk {name}, projected: {projected}"),
+                vectors,
+                Box::new(matrices),
+            ));
+        }
+        let vectors = ExplicitSo3::rkmk(tableau.clone()).expect("explicit");
+        let matrices = Rkmk::new(tableau).expect("explicit");
+        methods.push((format!("rkmk {name}"), vectors, Box::new(matrices)));
+    }
+    for order in [2, 4, 6, 8] {
+        let vectors = ExplicitSo3::splitting(order).expect("even");
+        let matrices = Splitting::new(order).expect("even");
+        methods.push((format!("splitting {order}"), vectors, Box::new(matrices)));
+    }
+    methods
+}
+
+/// On a body with one term of each kind, in principal axes and in others.
+#[test]
+fn explicit_methods_in_vectors_make_the_step_in_matrices() {
+    let mut numbers = Numbers(71);
+    let principal = laws::body::<3>(&mut numbers);
+    let tensor = Mat::<3>::new(2.0, 0.3, -0.1, 0.3, 1.5, 0.2, -0.1, 0.2, 1.0);
+    let tensor = Kinetic::of_tensor(tensor).expect("symmetric and positive definite");
+    let up = Vector::<3>::new(0.0, 0.0, 1.0);
+    let law = Law::Uniform { weight: 1.0, body_point: Vector::<3>::new(0.1, 0.2, 1.0) };
+    let turned = RigidBody::new(tensor, vec![Term { law, space: up }], 0.0);
+    for body in [principal, turned] {
+        let mut differ = 0;
+        for h in [0.01, 0.1] {
+            let start = State { attitude: numbers.rotation(), momentum: numbers.skew() * 2.0 };
+            for (name, mut vectors, mut matrices) in explicit() {
+                let vectors = advance(&mut vectors, &body, &start, &[h; 3]);
+                let matrices = advance(matrices.as_mut(), &body, &start, &[h; 3]);
+                let apart = (vectors.attitude - matrices.attitude).amax();
+                let apart = apart.max((vectors.momentum - matrices.momentum).amax());
+                assert!(apart < 2e-14, "{name}, h = {h}: {apart:e}");
+                differ += u32::from(apart > 0.0);
+            }
+        }
+        // Else all steps in vectors were in doubt, and this compared nothing.
+        assert!(differ > 5, "{differ}");
+    }
+}
+
+/// So with what drives a body, and what that puts in. Stages by [`Rk`] are off the group, where torques in space are of another
+/// form.
+#[test]
+fn explicit_methods_in_vectors_make_the_driven_step_in_matrices() {
+    for body in
+        [driven::changing::<3>(), driven::pushed(), driven::in_streams(), driven::with_wheels()]
+    {
+        for (name, mut vectors, mut matrices) in explicit() {
+            if !name.starts_with("rk") {
+                continue;
+            }
+            let ends = [&mut vectors as &mut dyn Stepper<3>, matrices.as_mut()].map(|stepper| {
+                let end = advance(stepper, &body, &driven::start(), &[0.005; 4]);
+                let put_in = [stepper.work(), stepper.table_impulse()];
+                (end, put_in, stepper.impulse().expect("it has a clock"))
+            });
+            let [(end, put_in, impulse), (other, other_put_in, other_impulse)] = ends;
+            let apart = (end.attitude - other.attitude).amax();
+            let apart = apart.max((end.momentum - other.momentum).amax());
+            let apart = apart.max((impulse - other_impulse).amax());
+            let works = put_in.iter().zip(&other_put_in).map(|(a, b)| (a - b).abs());
+            let apart = works.fold(apart, f64::max);
+            println!("{name}: {apart:.1e}");
+            let off_group = if name.starts_with("rkmk") { 0.0 } else { 1e-6 };
+            assert!(apart < 1e-13 + off_group, "{name}: {apart:e}");
+        }
+    }
+}
+
+/// Every member of an ensemble of an explicit method ends with the bits of its own run, or with its failure.
+#[test]
+fn explicit_members_are_their_own_runs_bit_for_bit() {
+    let (body, start) = dipole();
+    for (name, method, _) in explicit() {
+        for level in levels().into_iter().map(Some).chain([None]) {
+            let ensemble = ExplicitEnsemble::new(method.clone()).on_level(level);
+            for count in [1, 3, 7, 8] {
+                let mut numbers = Numbers(count as u64 + 11);
+                let states: Vec<State<3>> = (0..count)
+                    .map(|_| State {
+                        attitude: start.attitude * so::exp(&(numbers.skew() * 0.3)),
+                        // Some turn too fast for a step in vectors.
+                        momentum: numbers.skew() * if numbers.next() > 0.5 { 1.0 } else { 0.1 },
+                    })
+                    .collect();
+                let failures = compare(&name, &body, &states, 0.02, &ensemble, &method);
+                assert!(name.contains("projected: true") || failures.is_empty(), "{failures:?}");
+            }
+        }
+    }
+}
+
+/// As above for bodies that are driven, steps that end at knots of their tables among them, and for wheels.
+#[test]
+fn driven_explicit_members_are_their_own_runs_bit_for_bit() {
+    for body in
+        [driven::changing::<3>(), driven::pushed(), driven::in_streams(), driven::with_wheels()]
+    {
+        for (name, method, _) in explicit().into_iter().filter(|(name, ..)| name.starts_with("rk"))
+        {
+            let mut numbers = Numbers(43);
+            let states: Vec<State<3>> = (0..7)
+                .map(|_| State { attitude: numbers.rotation(), momentum: numbers.skew() * 2.0 })
+                .collect();
+            let ensemble = ExplicitEnsemble::new(method.clone());
+            let failures = compare(&name, &body, &states, 0.013, &ensemble, &method);
+            assert!(failures.is_empty(), "{failures:?}");
+        }
+    }
+}
+
+/// One member rests where it all but meets a charge, another turns too fast; the others go on as by themselves.
+#[test]
+fn an_explicit_member_that_fails_leaves_the_others_alone() {
+    let up = Vector::<3>::new(0.0, 0.0, 1.0);
+    let charge = Term { law: Law::PointSource { strength: 1e-60, body_point: up }, space: up };
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 });
+    let ball = RigidBody::new(Kinetic::Principal { weights }, vec![charge], 0.0);
+    let states: Vec<State<3>> = (0..8)
+        .map(|m| {
+            let (tilt, spin) = match m {
+                3 => (1e-9, 0.0),
+                5 => (0.1, 1e300),
+                m => (0.1, 0.1 * f64::from(m)),
+            };
+            State {
+                attitude: so::exp(&so::hat(&[tilt, 0.0, 0.0])),
+                momentum: so::hat(&[0.0, 0.0, spin]),
+            }
+        })
+        .collect();
+    for (name, method, _) in explicit() {
+        let ensemble = ExplicitEnsemble::new(method.clone());
+        let failures = compare(&name, &ball, &states, 0.1, &ensemble, &method);
+        let failed: Vec<usize> = failures.iter().map(|(m, _)| *m).collect();
+        assert_eq!(failed, [3, 5], "{name}: {failures:?}");
+        assert!(failures.contains(&(3, "potential_singularity")), "{name}: {failures:?}");
+    }
 }

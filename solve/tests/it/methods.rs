@@ -11,6 +11,7 @@ use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::explicit_so3::ExplicitSo3;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::rk::Rk;
@@ -109,6 +110,16 @@ macro_rules! any_n {
     };
 }
 
+/// An explicit method for any n, for n = 3 in vectors.
+macro_rules! vectors {
+    ($name:expr, $order:expr, $steps:expr, $make:expr, $three:expr) => {
+        Method {
+            three: Box::new(|| Box::new($three.expect("explicit"))),
+            ..any_n!($name, $order, $steps, $make.expect("explicit"))
+        }
+    };
+}
+
 /// VPD, for n = 3 in lanes.
 macro_rules! lanes {
     ($name:expr, $order:expr, $steps:expr, $tableau:expr) => {{
@@ -174,23 +185,23 @@ pub(crate) fn methods() -> Vec<Method> {
         any_n!("vrkmk gauss 3", 6, [[8, 16], [6, 24]], Vrkmk::new(gauss(3), to_round_off()))
             .drifts_off_the_group_by_round_off(),
         any_n!("vrkmk_projected gauss 2", 4, [[8, 128], [10, 40]], Vrkmk::new(gauss(2), to_round_off()).projected()),
-        any_n!("rkmk rk3", 3, [[64, 512], [40, 320]], Rkmk::new(Tableau::rk3()).expect("explicit")),
-        any_n!("rkmk rk4", 4, [[64, 512], [40, 320]], Rkmk::new(Tableau::rk4()).expect("explicit")),
-        any_n!("rk rk3", 3, [[64, 512], [40, 320]], Rk::new(Tableau::rk3(), false).expect("explicit"))
+        vectors!("rkmk rk3", 3, [[64, 512], [40, 320]], Rkmk::new(Tableau::rk3()), ExplicitSo3::rkmk(Tableau::rk3())),
+        vectors!("rkmk rk4", 4, [[64, 512], [40, 320]], Rkmk::new(Tableau::rk4()), ExplicitSo3::rkmk(Tableau::rk4())),
+        vectors!("rk rk3", 3, [[64, 512], [40, 320]], Rk::new(Tableau::rk3(), false), ExplicitSo3::rk(Tableau::rk3(), false))
             .leaves_the_group(),
-        any_n!("rk rk4", 4, [[64, 512], [40, 320]], Rk::new(Tableau::rk4(), false).expect("explicit"))
+        vectors!("rk rk4", 4, [[64, 512], [40, 320]], Rk::new(Tableau::rk4(), false), ExplicitSo3::rk(Tableau::rk4(), false))
             .leaves_the_group(),
-        any_n!("rk_projected rk3", 3, [[64, 512], [40, 320]], Rk::new(Tableau::rk3(), true).expect("explicit")),
-        any_n!("rk_projected rk4", 4, [[64, 512], [40, 320]], Rk::new(Tableau::rk4(), true).expect("explicit")),
-        any_n!("rkmk rk8", 8, [[4, 8], [10, 10]], Rkmk::new(Tableau::rk8()).expect("explicit")).nearly_straight(),
-        any_n!("rk rk8", 8, [[6, 11], [10, 10]], Rk::new(Tableau::rk8(), false).expect("explicit"))
+        vectors!("rk_projected rk3", 3, [[64, 512], [40, 320]], Rk::new(Tableau::rk3(), true), ExplicitSo3::rk(Tableau::rk3(), true)),
+        vectors!("rk_projected rk4", 4, [[64, 512], [40, 320]], Rk::new(Tableau::rk4(), true), ExplicitSo3::rk(Tableau::rk4(), true)),
+        vectors!("rkmk rk8", 8, [[4, 8], [10, 10]], Rkmk::new(Tableau::rk8()), ExplicitSo3::rkmk(Tableau::rk8())).nearly_straight(),
+        vectors!("rk rk8", 8, [[6, 11], [10, 10]], Rk::new(Tableau::rk8(), false), ExplicitSo3::rk(Tableau::rk8(), false))
             .nearly_straight()
             .leaves_the_group(),
-        any_n!("rk_projected rk8", 8, [[6, 11], [10, 10]], Rk::new(Tableau::rk8(), true).expect("explicit")).nearly_straight(),
-        three!("splitting 2", 2, [[32, 256], [20, 160]], Splitting::new(2).expect("even")).symmetric(),
-        three!("splitting 4", 4, [[16, 128], [20, 80]], Splitting::new(4).expect("even")).symmetric(),
-        three!("splitting 6", 6, [[8, 32], [8, 32]], Splitting::new(6).expect("even")).symmetric(),
-        three!("splitting 8", 8, [[4, 8], [8, 12]], Splitting::new(8).expect("even")).symmetric(),
+        vectors!("rk_projected rk8", 8, [[6, 11], [10, 10]], Rk::new(Tableau::rk8(), true), ExplicitSo3::rk(Tableau::rk8(), true)).nearly_straight(),
+        three!("splitting 2", 2, [[32, 256], [20, 160]], ExplicitSo3::splitting(2).expect("even")).symmetric(),
+        three!("splitting 4", 4, [[16, 128], [20, 80]], ExplicitSo3::splitting(4).expect("even")).symmetric(),
+        three!("splitting 6", 6, [[8, 32], [8, 32]], ExplicitSo3::splitting(6).expect("even")).symmetric(),
+        three!("splitting 8", 8, [[4, 8], [8, 12]], ExplicitSo3::splitting(8).expect("even")).symmetric(),
         three!("lgvi 2", 2, [[32, 256], [20, 160]], Lgvi::new(2, to_round_off()).expect("even")).symmetric(),
         three!("lgvi 4", 4, [[16, 128], [20, 80]], Lgvi::new(4, to_round_off()).expect("even")).symmetric(),
         three!("lgvi 6", 6, [[8, 32], [8, 32]], Lgvi::new(6, to_round_off()).expect("even")).symmetric(),
@@ -495,7 +506,7 @@ impl LongRun {
 fn the_other_methods_reach_their_energy_figures() {
     let stop = to_round_off();
     let runs: [(&str, Box<dyn Stepper<3>>, f64, f64); 4] = [
-        ("splitting 4", Box::new(Splitting::new(4).expect("even")), 0.01, 2.4e-10),
+        ("splitting 4", Box::new(ExplicitSo3::splitting(4).expect("even")), 0.01, 2.4e-10),
         ("lgvi 4", Box::new(Lgvi::new(4, stop).expect("even")), 0.01, 2.0e-9),
         (
             "quaternion_gauss 4",
@@ -529,13 +540,13 @@ fn explicit_methods_leave_the_group_or_drift_where_vpd_does_neither() {
     let mut vpd = Vpd::new(gauss(2), to_round_off());
     let ours = long_run("vpd gauss 2", &mut vpd, h);
     assert!(!ours.drifts() && ours.orthogonality <= 2e-15);
-    let mut rkmk = Rkmk::new(rk4()).expect("explicit");
+    let mut rkmk = ExplicitSo3::rkmk(rk4()).expect("explicit");
     let run = long_run("rkmk rk4", &mut rkmk, h);
     assert!(run.drifts() && run.orthogonality <= 2e-15);
-    let mut rk = Rk::new(rk4(), false).expect("explicit");
+    let mut rk = ExplicitSo3::rk(rk4(), false).expect("explicit");
     let run = long_run("rk rk4", &mut rk, h);
     assert!(run.drifts() && run.orthogonality > 1e-9);
-    let mut projected = Rk::new(rk4(), true).expect("explicit");
+    let mut projected = ExplicitSo3::rk(rk4(), true).expect("explicit");
     let run = long_run("rk_projected rk4", &mut projected, h);
     assert!(run.drifts() && run.orthogonality <= 2e-15);
 }

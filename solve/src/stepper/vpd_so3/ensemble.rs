@@ -11,7 +11,7 @@
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
 
-use fearless_simd::{Level, f64x8, prelude::*};
+use fearless_simd::prelude::*;
 
 use super::sweep;
 use super::unknowns::{Start, Unknowns};
@@ -19,8 +19,8 @@ use super::{MotionState, VpdSo3, has_own_sum};
 use crate::ensemble::Members;
 use crate::failure::Failure;
 use crate::hamiltonian::{CLOSEST_APPROACH, DriveInFrame, RigidBody};
-use crate::lanes::extras::{DRIVEN, USER};
-use crate::lanes::{Real, Row, Rows, StageScalar, StepScalar, WIDTH, aligned_zero};
+use crate::lanes::extras::USER;
+use crate::lanes::{Real, Row, StageScalar, StepScalar, WIDTH, has_member_lanes, in_member_lanes};
 use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
 use crate::space::{Quaternion, Vec3, dot};
 use crate::state::State;
@@ -28,34 +28,6 @@ use crate::stepper::motion::Motion;
 use crate::stepper::so3_equations::Inertia;
 use crate::stepper::{Knots, Stepper};
 use crate::tableau::Tableau;
-
-/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `$lanes` is
-/// `$stages` stages in lanes, and `EXTRAS` the set of extras that it is compiled for.
-macro_rules! in_member_lanes {
-    ($level:ident, $stages:literal, $extras:ident, $lanes:ident => $work:expr) => {{
-        #[cfg(target_arch = "x86_64")]
-        match ($extras, $level.as_avx512(), $level.as_avx2()) {
-            (0, Some(simd), _) => in_member_lanes!(@on simd, $stages, 0, $lanes => $work),
-            (0, None, Some(simd)) => in_member_lanes!(@on simd, $stages, 0, $lanes => $work),
-            (_, _, Some(simd)) => in_member_lanes!(@on simd, $stages, DRIVEN, $lanes => $work),
-            (_, _, None) => unreachable!("members go by themselves here"),
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        unreachable!("members go by themselves here")
-    }};
-    (@on $simd:ident, $stages:literal, $extras:expr, $lanes:ident => $work:expr) => {
-        $simd.vectorize(
-            #[inline(always)]
-            || {
-                #[allow(dead_code, reason = "not all work has extras")]
-                const EXTRAS: u8 = $extras;
-                let zero = f64x8::from_slice($simd, &aligned_zero().0);
-                let $lanes = Rows([zero; $stages]);
-                $work
-            },
-        )
-    };
-}
 
 /// The members, each with its lane.
 #[derive(Clone, Debug)]
@@ -117,7 +89,7 @@ impl VpdEnsemble {
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
         let blank = VpdSo3::new(tableau.clone(), stop)?;
         let lanes = match tableau.stages() {
-            _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
+            _ if stop.rungs == Rungs::Newton || !has_member_lanes(blank.level) => Lanes::None,
             1 => Lanes::One(LaneState::blank()),
             2 => Lanes::Two(LaneState::blank()),
             3 => Lanes::Three(LaneState::blank()),
@@ -388,14 +360,6 @@ impl Members<3> for VpdEnsemble {
     fn member(&mut self, m: usize) -> &mut dyn Stepper<3> {
         self.written(m)
     }
-}
-
-/// Is this an instruction set on which members side by side gain?
-fn has_lanes(level: Option<Level>) -> bool {
-    #[cfg(target_arch = "x86_64")]
-    return level.is_some_and(|level| level.as_avx2().is_some());
-    #[cfg(not(target_arch = "x86_64"))]
-    return false;
 }
 
 impl<const K: usize> Unknowns<[Row; K], Row> {
