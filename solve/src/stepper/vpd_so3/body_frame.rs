@@ -51,6 +51,8 @@ const LEAST_OF_DEFECTS: f64 = 1e-16;
 const ROUNDING: f64 = 1e-14;
 /// A change below this is none.
 const NOTHING: f64 = 2e-16;
+/// Where every P - I is below this, the end is that of the quaternions: its error, of that size, enters delta times K, of that size too.
+const NO_STRETCH: f64 = 1e-8;
 /// A change above this is no step's.
 const ASTRAY: f64 = 10.0;
 /// Contraction of a block before it is seen, and at least.
@@ -227,11 +229,16 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
         // The end, and lambda.
         let sum = Quaternion { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
         unknowns.end = sum.normalised();
-        let end = end_of_stages(lanes, &w, unknowns);
+        let (mut change, mut inverse) = (unknowns.end.change(), [0.0; 6]);
+        let [xx, yy, zz, yz, xz, xy] = self.stretch;
+        if largest(&[xx, yy, zz]).max_or_nan(largest(&[yz, xz, xy])) > NO_STRETCH {
+            let end = end_of_stages(lanes, &w, unknowns);
+            (change, inverse) = (end.change, end.inverse);
+        }
         let rate = self.momentum_rate();
         let p1: Vec3<f64> = vec3!(i => self.p0[i].stage(0) + rate[i].sum());
-        let lambda = over_q(&end.inverse, &scaled(&p1, -1.0));
-        let f_lambda = times_hat(&with_one(&end.change), &lambda);
+        let lambda = over_q(&inverse, &scaled(&p1, -1.0));
+        let f_lambda = times_hat(&with_one(&change), &lambda);
         let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(f_lambda[i][j]));
         // x: Q(P) x = h b (S Omega - tr(S) Omega + mu x Omega / 2 - tau)
         let s = &self.s;
