@@ -226,6 +226,41 @@ fn a_stop_within_a_step_is_where_theory_has_it() {
     }
 }
 
+/// Wheels spin a body up until a step of it can no longer be solved: the smaller step that is advised was tried with the wheels and
+/// the command of that time, and carries the run.
+#[test]
+fn a_body_that_its_wheels_spin_up_is_advised_a_step() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = json!({
+        "name": "spun-up",
+        "scene": {
+            "inertia": { "principal": [1, 1.3, 0.8] },
+            "control": {
+                "every_s": 0.5,
+                "target": { "turning": { "from": [1, 0, 0], "towards": [0, 1, 0], "rate_rad_s": 9 } },
+                "laws": [{ "attitude": { "gain_n_m": 0, "rate_gain_n_m_s": 0.3 } }],
+                "through": { "wheels": {
+                    "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+                    "moments_kg_m2": [0.05, 0.05, 0.05]
+                } }
+            },
+            "initial": { "angular_velocity": { "body": [0.01, -0.02, 0.015] } }
+        },
+        "method": { "name": "vpd", "tableau": "gauss2", "solver": { "kind": "fixed_point" } },
+        "step_s": 0.5,
+        "duration_s": 60
+    });
+    let mut run_to = |name: &str, step_s: f64| {
+        scenario["step_s"] = json!(step_s);
+        run(&scenario, &place.path().join(name), &Control::default()).expect("a log")
+    };
+    let failed = run_to("long.mcap", 0.5);
+    assert_eq!(failed.outcome, Outcome::Failed);
+    let advised_s = failed.diagnosis.and_then(|found| found.advised_step_s).expect("an advice");
+    println!("failed after {} steps; {advised_s} s advised", failed.steps);
+    assert_eq!(run_to("short.mcap", advised_s).outcome, Outcome::Succeeded);
+}
+
 /// Steps of a billion seconds, in which neighbouring numbers are farther apart than a stop is located to elsewhere.
 #[test]
 fn a_stop_is_located_in_the_longest_steps() {
