@@ -64,12 +64,10 @@ impl StopRule {
 }
 
 impl StopRule {
-    /// Does it go to rounding, by sweeps where these converge?
-    pub(crate) fn goes_to_rounding(&self) -> bool {
-        let default = Self::default();
-        self.tolerance <= default.tolerance
-            && self.max_iterations >= default.max_iterations
-            && self.rungs != Rungs::Newton
+    /// May another iteration, which goes to rounding, be tried before the sweeps? Not where Newton's method is asked for, or few
+    /// sweeps.
+    pub(crate) fn allows_another(&self) -> bool {
+        self.rungs != Rungs::Newton && self.max_iterations >= Self::default().max_iterations
     }
 }
 

@@ -229,7 +229,7 @@ impl VpdSo3 {
             momentum,
         };
         let (level, stages) = (*level, tableau.stages());
-        if plan.collocates && history.is_none() && solver.rule().goes_to_rounding() {
+        if plan.collocates && history.is_none() && solver.rule().allows_another() {
             let done = in_eight_stage_lanes!(level, body, body_frame::solve, &start, unknowns);
             body.count(u64::from(done.torques) * stages as u64);
             (0..done.evaluations).try_for_each(|_| body.work().begin_sweep())?;
