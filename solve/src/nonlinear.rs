@@ -64,8 +64,12 @@ impl StopRule {
 }
 
 impl StopRule {
-    /// May another iteration, which goes to rounding, be tried before the sweeps? Not where Newton's method is asked for, or few
-    /// sweeps.
+    /// The tolerance, zero if it is that of rounding.
+    pub(crate) fn looser_than_rounding(&self) -> f64 {
+        if self.tolerance > Self::default().tolerance { self.tolerance } else { 0.0 }
+    }
+
+    /// May another iteration be tried before the sweeps? Not where Newton's method is asked for, or few sweeps.
     pub(crate) fn allows_another(&self) -> bool {
         self.rungs != Rungs::Newton && self.max_iterations >= Self::default().max_iterations
     }

@@ -230,7 +230,9 @@ impl VpdSo3 {
         };
         let (level, stages) = (*level, tableau.stages());
         if plan.collocates && history.is_none() && solver.rule().allows_another() {
-            let done = in_eight_stage_lanes!(level, body, body_frame::solve, &start, unknowns);
+            let tolerance = solver.rule().looser_than_rounding();
+            let done =
+                in_eight_stage_lanes!(level, body, body_frame::solve, &start, tolerance, unknowns);
             body.count(u64::from(done.torques) * stages as u64);
             (0..done.evaluations).try_for_each(|_| body.work().begin_sweep())?;
             if done.is_solved {

@@ -275,11 +275,12 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
     }
 }
 
-/// Solves the step, and leaves its solution in the unknowns.
+/// Solves the step until it lacks `tolerance` at most, to rounding if that is zero, and leaves its solution in the unknowns.
 #[inline(always)]
 pub(super) fn solve<R: StageScalar<StepScalar = f64>, const EXTRAS: u8>(
     lanes: R,
     start: &Start<'_, R::Storage, f64>,
+    tolerance: f64,
     unknowns: &mut Unknowns<R::Storage, f64>,
 ) -> Collocated {
     let TableauInLanes { weights, nodes, .. } = &start.plan.tableau;
@@ -370,9 +371,9 @@ pub(super) fn solve<R: StageScalar<StepScalar = f64>, const EXTRAS: u8>(
         }
         // The defects take a part of what the collocation lacked when they were evaluated.
         lacking = (jump * of_evaluation).max(shortfall * turn.min(1.0) * PART_OF_DEFECTS);
-        enough = lacking <= LEAST_OF_DEFECTS / turn.min(1.0)
+        enough = lacking <= (LEAST_OF_DEFECTS / turn.min(1.0)).max(tolerance)
             || (done.evaluations > 1 && jump >= 0.3 * before && jump < ROUNDING);
-        goal = if enough { LEAST_SHORTFALL } else { PART_OF_DEFECTS * lacking };
+        goal = if enough { LEAST_SHORTFALL.max(tolerance) } else { PART_OF_DEFECTS * lacking };
         if !(jump < ASTRAY) {
             break;
         }
