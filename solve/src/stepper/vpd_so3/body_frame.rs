@@ -275,6 +275,31 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
     }
 }
 
+/// Brings f to the polar factor of `I + sum_k w_k`, and keeps its stretch.
+///
+/// With `|q|^2 = 1 - d` the matrix of q is `(1 - d) R + d I`, so that [`residual`] holds `4 d w v` too much. That is rounding, but of one
+/// sign: left in, or with a single pass from a quaternion whose length is not one to the last digit, the energy of the dipole drifted
+/// by 1e-19 to 1e-18 J a step.
+#[inline(always)]
+fn end_to_rounding<R: StageScalar<StepScalar = f64>>(
+    w: &Mat3<R>,
+    unknowns: &mut Unknowns<R::Storage, f64>,
+) {
+    let d: Mat3<f64> = mat3!(i, j => w[i][j].sum());
+    for _ in 0..2 {
+        let end = unknowns.end;
+        let f = end.matrix();
+        let stretch = stretch_of(&end, &f, &d);
+        let deficit = (1.0 - end.w) * (1.0 + end.w) - dot(&end.v, &end.v);
+        let measured = residual(&end, &f, &d);
+        let too_much = 4.0 * deficit * end.w;
+        let measured: Vec3<f64> = vec3!(i => measured[i] - too_much * end.v[i]);
+        let half = over_q(&inverse_of_q(&stretch), &scaled(&measured, 0.5));
+        unknowns.end = end.turned(&half);
+        unknowns.end_stretch = stretch;
+    }
+}
+
 /// Solves the step until it lacks `tolerance` at most, to rounding if that is zero, and leaves its solution in the unknowns.
 #[inline(always)]
 pub(super) fn solve<R: StageScalar<StepScalar = f64>, const EXTRAS: u8>(
@@ -384,7 +409,7 @@ pub(super) fn solve<R: StageScalar<StepScalar = f64>, const EXTRAS: u8>(
     let c = u.change();
     let matrix = with_one(&c);
     let w = times_hat(&matrix, &at.turning);
-    end_of_stages(lanes, &w, unknowns);
+    end_to_rounding(&w, unknowns);
     let impulses = scaled(&product(&matrix, &at.tau), -weight);
     let gain = at.momentum_rate();
     unknowns.impulse = vec3!(i => impulses[i].sum());
