@@ -399,7 +399,7 @@ pub fn integrate<const N: usize, S: Sink<N>>(
 }
 
 /// Carries members of an ensemble forward, each by a stepper of its own, and gives the samples to `record` with the number of
-/// their member; those of a time in the order of the members. `go_on(steps_done)` is asked before each step.
+/// their member, in the order of time, those of a time in that of the members. `go_on(steps_done)` is asked before each step.
 ///
 /// # Errors
 /// Those of `record`. A step that fails is not an error but an [`Ending`] of its member.
@@ -440,6 +440,7 @@ pub fn integrate_members<const N: usize, E>(
         if is_over {
             break;
         }
+        let mut ended = Vec::new();
         for (m, (member, stepper)) in members.iter_mut().zip(steppers.iter_mut()).enumerate() {
             if !member.goes_on() {
                 continue;
@@ -447,10 +448,13 @@ pub fn integrate_members<const N: usize, E>(
             member.step(bodies, stepper.as_mut());
             if member.goes_on() {
                 is_anyone_left = true;
-            } else if let Some(sample) = member.sample(bodies, stepper.as_ref()) {
-                record(m, &sample)?;
+            } else {
+                ended.extend(member.sample(bodies, stepper.as_ref()).map(|sample| (m, sample)));
             }
         }
+        // One may have ended within the step before another did.
+        ended.sort_by(|(_, a), (_, b)| a.time_s.total_cmp(&b.time_s));
+        ended.iter().try_for_each(|(m, sample)| record(*m, sample))?;
         if !is_anyone_left {
             break;
         }
