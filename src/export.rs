@@ -317,10 +317,15 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
             let above = pairs(n).filter(|(i, j)| i < j);
             above.map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
-        ("position" | "velocity" | "linear_momentum", 3) => label(&["x", "y", "z"]),
+        (
+            "position" | "velocity" | "linear_momentum" | "mean_position" | "position_deviation"
+            | "mean_velocity" | "velocity_deviation",
+            3,
+        ) => label(&["x", "y", "z"]),
         // Of an axis, an actuator, a wheel or a parameter each.
         (
-            "position" | "velocity" | "linear_momentum" | "control_command" | "wheel_momenta"
+            "position" | "velocity" | "linear_momentum" | "mean_position" | "position_deviation"
+            | "mean_velocity" | "velocity_deviation" | "control_command" | "wheel_momenta"
             | "wheel_speeds" | "sensitivity",
             _,
         ) => (1..=width).map(|number| format!("{field}_{number}")).collect(),

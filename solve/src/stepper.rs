@@ -31,6 +31,7 @@ pub mod vrkmk;
 pub mod rkmk;
 pub mod rk;
 pub mod explicit_so3;
+mod explicit_stages;
 pub mod splitting;
 pub mod lgvi;
 pub mod quaternion_gauss;

@@ -15,7 +15,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use super::checks::check_branch;
-use super::explicit_so3::{
+use super::explicit_stages::{
     AtStage, End, Law, NUMBERS, Rates, attitude_and_momentum, packed, parts, with_rates,
 };
 use crate::failure::{Failure, FailureCode};
@@ -98,7 +98,7 @@ const QUARTER: f64 = 1e-9 - FRAC_PI_2 * FRAC_PI_2;
 /// Number of rounds of Newton and Schulz.
 const ROUNDS: usize = 3;
 
-/// The step for n = 3 in vectors: see [`super::explicit_so3`].
+/// The step for n = 3 in vectors: see `explicit_so3`.
 #[inline(always)]
 pub(super) fn in_vectors<R: StageScalar, const EXTRAS: u8>(
     tableau: &Tableau,

@@ -16,7 +16,7 @@
 //!
 //! Invariant: the attitude is on the group to round-off. The method is not symplectic and not symmetric.
 
-use super::explicit_so3::{
+use super::explicit_stages::{
     AtStage, End, Law, NUMBERS, Rates, attitude_and_momentum, packed, parts, with_rates,
 };
 use crate::failure::Failure;
@@ -99,7 +99,7 @@ impl<const N: usize> Rkmk<N> {
     }
 }
 
-/// The step for n = 3 in vectors: see [`super::explicit_so3`]. The bracket of so(3) is the cross product.
+/// The step for n = 3 in vectors: see `explicit_so3`. The bracket of so(3) is the cross product.
 #[inline(always)]
 pub(super) fn in_vectors<R: StageScalar, const EXTRAS: u8>(
     tableau: &Tableau,

@@ -12,7 +12,7 @@
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
-use super::explicit_so3::{End, Law, NUMBERS};
+use super::explicit_stages::{End, Law, NUMBERS};
 use super::so3_equations::Inertia;
 use crate::compensated::two_sum;
 use crate::composition::{Composition, Drift, TopSum};
@@ -57,7 +57,7 @@ impl Splitting {
         }
     }
 
-    /// The step in vectors: see [`super::explicit_so3`].
+    /// The step in vectors: see `explicit_so3`.
     #[inline(always)]
     pub(super) fn in_vectors<R: StageScalar, const EXTRAS: u8>(
         &self,
