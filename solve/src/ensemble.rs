@@ -92,8 +92,8 @@ impl<const N: usize> Members<N> for Sequential<N> {
 }
 
 /// Carries the states, at most [`WIDTH`], forward along `schedule`, side by side, and gives the samples to `record`
-/// with the number of their member; those of a time in the order of the members. `go_on(steps_done)` is asked before
-/// each step.
+/// with the number of their member, in the order of time, those of a time in that of the members. `go_on(steps_done)` is
+/// asked before each step.
 ///
 /// # Errors
 /// Those of `record`. A step that fails is not an error but an [`super::trajectory::Ending`] of its member.
@@ -156,11 +156,18 @@ pub fn integrate<const N: usize, E>(
             if let Some(begun) = begun.next() {
                 bookkeeping[m].end_within(body, members.member(m), begun);
             }
-            if !bookkeeping[m].goes_on() {
-                sample(m, &mut bookkeeping[m], members)?;
-            }
         }
-        going.retain(|&m| bookkeeping[m].goes_on());
+        let mut ended = Vec::new();
+        going.retain(|&m| {
+            let goes_on = bookkeeping[m].goes_on();
+            ended.extend((!goes_on).then_some(m));
+            goes_on
+        });
+        // One may have ended within the step before another did.
+        ended.sort_by(|&a, &b| bookkeeping[a].time_s().total_cmp(&bookkeeping[b].time_s()));
+        for m in ended {
+            sample(m, &mut bookkeeping[m], members)?;
+        }
     }
     Ok(bookkeeping.into_iter().map(Bookkeeping::end).collect())
 }

@@ -481,7 +481,7 @@ impl<const N: usize> Bookkeeping<N> {
     }
 
     /// The time of the state that was reached, in s.
-    fn time_s(&self) -> f64 {
+    pub(super) fn time_s(&self) -> f64 {
         self.ends_s.unwrap_or(self.reached.step as f64 * self.step_s)
     }
 

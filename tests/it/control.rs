@@ -365,6 +365,22 @@ fn members_stop_within_a_step_as_a_run_by_itself() {
     scenario["until"] = json!([{ "rate_below_rad_s": 100, "exact": true }]);
     let summary = run(&scenario, &log, &Control::default()).expect("a log");
     assert_eq!((summary.steps, summary.time_s), (1, 0.01));
+    // Members in full that end within one step, not in the order of their numbers.
+    let mut scenario = pendulum();
+    scenario["method"] = json!({ "name": "vpd", "tableau": "gauss6" });
+    scenario["step_s"] = json!(0.2);
+    scenario["scene"]["initial"]["angular_velocity"] = json!({ "body": [0.3, 0, 0.8] });
+    scenario["ensemble"] = json!({ "members": 8, "seed": 3, "momentum_spread": 0.02, "in_full": [1, 2, 3, 4, 5, 6, 7] });
+    run(&scenario, &log, &Control::default()).expect("a log");
+    let mut members = contents(&log).members;
+    members.sort_by_key(|end| end.member);
+    let ends = |end: &vpd::log::messages::Member| end.last.as_ref().map(|last| last.time_s);
+    let in_order = members.windows(2).all(|pair| ends(&pair[0]) <= ends(&pair[1]));
+    let in_one_step = members
+        .windows(2)
+        .any(|pair| pair[0].steps == pair[1].steps && ends(&pair[0]) > ends(&pair[1]));
+    assert!(!in_order && in_one_step);
+    assert!(verify(&log).expect("verified").same);
 }
 
 /// An ensemble under control: each member has its own controller, and its bits are those of its own run.
