@@ -146,6 +146,9 @@ pub trait Stored: Real {
     fn folded(wide: Self::Wide) -> Self;
 }
 
+/// A law of three rows of three numbers for all lanes at once: it sets four numbers for each.
+pub type LawOfLanes<'a> = &'a mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]);
+
 /// Quantity of the stages of a step: a number for each.
 pub trait StageScalar: Stored {
     /// Quantity of the step as a whole.
@@ -187,8 +190,5 @@ pub trait StageScalar: Stored {
     fn largest(self) -> Self::StepScalar;
     /// Applies a law that is not written in lanes to three rows of three numbers: it is given those of all lanes, and sets four
     /// numbers for each.
-    fn out_of_lanes(
-        numbers: [[Self; 3]; 3],
-        law: &mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]),
-    ) -> [Self; 4];
+    fn out_of_lanes(numbers: [[Self; 3]; 3], law: LawOfLanes<'_>) -> [Self; 4];
 }

@@ -4,7 +4,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use fearless_simd::{Simd, f64x8};
 
-use super::{Real, Row, StageScalar, StepScalar, Stored, WIDTH};
+use super::{LawOfLanes, Real, Row, StageScalar, StepScalar, Stored, WIDTH};
 
 impl Real for f64 {
     #[inline(always)]
@@ -351,7 +351,7 @@ macro_rules! stages_in_turn {
             #[inline(always)]
             fn out_of_lanes(
                 numbers: [[Self; 3]; 3],
-                law: &mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]),
+                law: LawOfLanes<'_>,
             ) -> [Self; 4] {
                 let lanes = <$whole as StepScalar>::LANES;
                 let at = |k: usize, lane: usize| {

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, f64x2, f64x4, f64x8, prelude::*};
 
-use super::{Real, Row, StageScalar, StepScalar, Stored, WIDTH};
+use super::{LawOfLanes, Real, Row, StageScalar, StepScalar, Stored, WIDTH};
 
 macro_rules! stage_lanes {
     ($vector:ident, $lanes:tt, $group:literal, $repeated:expr, $folded:expr, $each:expr, $largest:expr) => {
@@ -179,10 +179,7 @@ macro_rules! stage_lanes {
             }
 
             #[inline(always)]
-            fn out_of_lanes(
-                numbers: [[Self; 3]; 3],
-                law: &mut dyn FnMut(&[[[f64; 3]; 3]], &mut [[f64; 4]]),
-            ) -> [Self; 4] {
+            fn out_of_lanes(numbers: [[Self; 3]; 3], law: LawOfLanes<'_>) -> [Self; 4] {
                 let given: [_; $lanes] =
                     std::array::from_fn(|lane| numbers.map(|row| row.map(|x| x[lane])));
                 let mut found = [[0.0; 4]; $lanes];
