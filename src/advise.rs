@@ -50,9 +50,8 @@ const LONG_NS: f64 = 2e7;
 const OWN_STEPS_MORE: f64 = 30.0;
 /// Length of the pilot runs, in easy steps of the scene.
 const PILOT_STEPS: f64 = 600.0;
-/// Share of the allowed work that the reference of the whole run may take: with 0.4 the candidates, which are followed as far, had too
-/// little left where references are cheap.
-const REFERENCE_PART: f64 = 0.26;
+/// Share of the allowed work that the reference of the whole run may take.
+const REFERENCE_PART: f64 = 0.4;
 /// Reason why an accuracy was not turned into a method and a step.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Unsettled {

@@ -271,7 +271,7 @@ fn a_stop_is_located_in_the_longest_steps() {
     scenario["until"][0]["angle_above_rad"]["angle_rad"] = json!(0.7);
     scenario["method"] = json!({ "name": "vpd", "tableau": "gauss6" });
     scenario["step_s"] = json!(5e8);
-    scenario["duration_s"] = json!(4e9);
+    scenario["duration_s"] = json!(2.5e9);
     let summary =
         run(&scenario, &place.path().join("log.mcap"), &Control::default()).expect("a log");
     let off_s = summary.time_s - 0.7 / 9e-10;
