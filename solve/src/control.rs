@@ -143,7 +143,7 @@ impl<const N: usize> Target<N> {
     }
 
     /// The error of an attitude at a time, from the target to the body: skew, and its angle in rad. For n = 3 the vector is
-    /// `2 sign(q0) (q1, q2, q3)`; else the skew part of `g_target^T g`, and its norm.
+    /// `2 sign(q0) (q1, q2, q3)`; else the skew part of `g_target^T g`, which is small at half a turn as well. The angle is [`so::angle`].
     pub fn error(&self, time_s: f64, g: &Mat<N>) -> (Mat<N>, f64) {
         let turn = so::transposed_product(&self.attitude(time_s), g);
         if let Some([w, x, y, z]) = so::quaternion(&turn) {
@@ -151,8 +151,6 @@ impl<const N: usize> Target<N> {
             let sine = so::norm(&[x, y, z]);
             return (so::hat(&vector), 2.0 * libm::atan2(sine, w));
         }
-        let error = so::asym(&turn) * 0.5;
-        let size = so::inner(&error, &error).sqrt();
-        (error, size)
+        (so::asym(&turn) * 0.5, so::angle(&turn))
     }
 }

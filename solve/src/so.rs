@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 mod spectrum;
 
 pub use spectrum::{
-    frequencies, orthogonality_error, smallest_eigenvalue, smallest_eigenvalue_bound,
+    angle, frequencies, orthogonality_error, smallest_eigenvalue, smallest_eigenvalue_bound,
 };
 
 /// An n x n matrix.

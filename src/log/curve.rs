@@ -32,7 +32,7 @@ pub enum Curve {
     RollPitchYaw,
     /// Angular velocity relative to that frame, in body coordinates and rad/s.
     RelativeRate,
-    /// Angle between the body and the target of its control, as the sensors show it, in rad; for n other than 3 a norm.
+    /// Angle between the body and the target of its control, as the sensors show it, in rad.
     PointingError,
     /// Commands of a control after their limits: torques or motor torques in N m, moments of coils in A m^2.
     ControlCommand,

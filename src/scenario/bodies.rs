@@ -342,13 +342,18 @@ impl Bodies {
         }
         for (i, body) in self.bodies.iter().enumerate() {
             let name = &body.name;
-            let other = name.strip_suffix("_angular").filter(|other| names.contains(other));
-            ensure(other.is_none(), format!("{at}/{i}/name"), || {
-                let other = other.unwrap_or_default();
-                format!(
-                    "`{name}` given next to `{other}`: in tables, the velocity of one and the angular velocity of the other would have one name"
-                )
-            })?;
+            for (suffix, both) in [
+                ("_angular", "the velocity of one and the angular velocity of the other"),
+                ("_initial", "the end of one and the start of the other"),
+            ] {
+                let other = name.strip_suffix(suffix).filter(|other| names.contains(other));
+                ensure(other.is_none(), format!("{at}/{i}/name"), || {
+                    let other = other.unwrap_or_default();
+                    format!(
+                        "`{name}` given next to `{other}`: in tables, {both} would have one name"
+                    )
+                })?;
+            }
         }
         let n = self.dimension()?;
         // First, because whether a body is free depends on them.

@@ -99,6 +99,7 @@ fn rows() -> Vec<Row> {
         ("/scene/bodies/0/name", json!("space"), "/scene/bodies/0/name", "another name"),
         ("/scene/bodies/1/name", json!("primary"), "/scene/bodies/1/name", "an earlier body"),
         ("/scene/bodies/1/name", json!("primary_angular"), "/scene/bodies/1/name", "one name"),
+        ("/scene/bodies/1/name", json!("primary_initial"), "/scene/bodies/1/name", "one name"),
         ("/scene/bodies/0/name", Value::Null, "/scene/bodies/0", "missing field `name`"),
         ("/scene/bodies/0/inertia", Value::Null, "/scene/bodies/0", "missing field `inertia`"),
         ("/scene/bodies/0/colour", json!("red"), "/scene/bodies/0/colour", "unknown field"),

@@ -55,6 +55,28 @@ pub fn frequencies<const N: usize>(x: &Mat<N>) -> Vec<f64> {
     frequencies
 }
 
+/// The angle of a rotation R, in rad: the norm `<X, X>^(1/2)` of the smallest X with `exp(X) = R`, that is the root of the sum of the
+/// squares of its angles in planes, each up to pi. NaN where R is not finite. Allocates: for samples.
+///
+/// Of an eigenvector q of `(R + R^T) / 2` the eigenvalue is the cosine, and `|(R - R^T) q / 2|` the sine, of the angle of its plane.
+pub fn angle<const N: usize>(r: &Mat<N>) -> f64 {
+    if !r.iter().all(|x| x.is_finite()) {
+        return f64::NAN;
+    }
+    let cosines = DMatrix::from_fn(N, N, |i, j| 0.5 * (r[(i, j)] + r[(j, i)]));
+    let sines = DMatrix::from_fn(N, N, |i, j| 0.5 * (r[(i, j)] - r[(j, i)]));
+    let Some(solved) = SymmetricEigen::try_new(cosines, f64::EPSILON, MOST_ROUNDS * N) else {
+        return f64::NAN;
+    };
+    let mut square = 0.0;
+    for (cosine, q) in solved.eigenvalues.iter().zip(solved.eigenvectors.column_iter()) {
+        let angle = libm::atan2((&sines * q).norm(), *cosine);
+        // Each plane has two of them.
+        square += 0.5 * angle * angle;
+    }
+    square.sqrt()
+}
+
 /// A cheap lower bound of the smallest eigenvalue of a symmetric matrix (Gershgorin's discs).
 pub fn smallest_eigenvalue_bound<const N: usize>(p: &Mat<N>) -> f64 {
     (0..N)

@@ -332,6 +332,28 @@ fn too_rare_samples_are_unstable_where_theory_says() {
 }
 
 /// Attitude and damping act in any dimension.
+/// Its angle grows with the turn beyond a quarter, where the skew part, which the law sees, falls; half a turn is farthest away.
+#[test]
+fn the_angle_to_a_target_is_that_of_the_rotation() {
+    fn of<const N: usize>() {
+        let entries: Vec<f64> = (0..so::dimension(N)).map(|k| 1.0 / (1 + k) as f64).collect();
+        let axis = so::hat::<N>(&entries);
+        let axis = axis / so::inner(&axis, &axis).sqrt();
+        for size in [1e-9, 0.5, 1.0, 2.0, 3.1] {
+            let (_, found) = Target::fixed(Mat::identity()).error(0.0, &so::exp(&(axis * size)));
+            assert!((found - size).abs() < 1e-14 * (1.0 + size), "n = {N}: {found} for {size}");
+        }
+        let half = Mat::<N>::from_fn(|i, j| f64::from(i == j) * if i < 2 { -1.0 } else { 1.0 });
+        let (_, found) = Target::fixed(Mat::identity()).error(0.0, &half);
+        assert!((found - PI).abs() < 1e-14, "n = {N}: {found}");
+    }
+    of::<2>();
+    of::<3>();
+    of::<4>();
+    of::<5>();
+    of::<8>();
+}
+
 #[test]
 fn a_body_of_four_dimensions_comes_to_rest_on_its_target() {
     let kinetic = Kinetic::<4>::of_second_moments([0.5, 0.7, 0.9, 1.2]);
