@@ -321,10 +321,15 @@ fn run<const N: usize>(
     let summary = finish(Asked::of(plan), context.log, keep.writer(), (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,
-        ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
+        ns_per_step: ns_per_step(inside, steps_done - resumed_step),
         wall_s: begun.elapsed().as_secs_f64(),
         ..summary
     })
+}
+
+/// Returns the time of a step of those that were made, in nanoseconds; 0 where none was.
+fn ns_per_step(inside: Duration, made: u64) -> f64 {
+    if made == 0 { 0.0 } else { inside.as_nanos() as f64 / made as f64 }
 }
 
 /// Returns which condition stopped a run, and when, in words.

@@ -121,10 +121,11 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
             summary.solver.kind.as_deref().unwrap_or("none")
         ),
     );
-    line(
-        "time",
-        format!("{:.3} s, {:.0} ns a step in the integrator", summary.wall_s, summary.ns_per_step),
-    );
+    let of_a_step = match summary.ns_per_step {
+        0.0 => String::new(),
+        ns => format!(", {ns:.0} ns a step in the integrator"),
+    };
+    line("time", format!("{:.3} s{of_a_step}", summary.wall_s));
     if let Some(ensemble) = &summary.ensemble {
         let stopped = ensemble.stopped.iter().map(|(at, count)| format!(", {count} by {at}"));
         let failed = ensemble.failed.iter().map(|(code, count)| format!(", {count} {code}"));

@@ -95,7 +95,7 @@ impl BodiesTask for BodiesRun<'_> {
             finish(Asked::of(plan), context.log, keep.writer(), (&figures, &course), end)?;
         Ok(Summary {
             resumed_step,
-            ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
+            ns_per_step: ns_per_step(inside, steps_done - resumed_step),
             wall_s: begun.elapsed().as_secs_f64(),
             ..summary
         })

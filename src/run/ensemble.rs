@@ -160,7 +160,7 @@ impl Ensemble<'_> {
         let made = ends.steps().saturating_sub(resumed_step);
         Ok(Summary {
             resumed_step,
-            ns_per_step: integrated.as_nanos() as f64 / made.max(1) as f64,
+            ns_per_step: ns_per_step(integrated, made),
             wall_s: begun.elapsed().as_secs_f64(),
             ..summary
         })

@@ -179,7 +179,7 @@ impl Recording {
         let asked = Asked::steps(step_s, steps);
         let summary = finish(asked, log, keep.writer(), (&figures, &course), end)?;
         Ok(Summary {
-            ns_per_step: inside.as_nanos() as f64 / steps_done.max(1) as f64,
+            ns_per_step: ns_per_step(inside, steps_done),
             wall_s: begun.elapsed().as_secs_f64(),
             ..summary
         })

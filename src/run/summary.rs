@@ -76,7 +76,7 @@ pub struct Summary {
     pub solver: SolverSummary,
     /// Wall time of the whole run in seconds.
     pub wall_s: f64,
-    /// Time inside the integrator alone, per step.
+    /// Time inside the integrator alone, per step; 0 where none was made.
     pub ns_per_step: f64,
     /// The log. In answers of the service a link is in its place.
     #[schemars(skip)]

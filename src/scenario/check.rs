@@ -283,12 +283,17 @@ fn duration(scenario: &Scenario) -> Check {
             whole_duration(duration_s)?;
             ensure(is_whole(duration_s, h), "/duration_s", || {
                 let count = duration_s / h;
-                let [below, above] = [count.floor().max(1.0), count.ceil().max(2.0)]
-                    .map(|count| twelve_digits(count * h));
+                let [below, above] =
+                    [count.floor(), count.ceil()].map(|count| twelve_digits(count * h));
+                let nearest = if count < 1.0 {
+                    format!("the nearest is {above} s")
+                } else {
+                    format!("the nearest are {below} s and {above} s")
+                };
                 let step = dividing(duration_s, h);
                 let given = short(duration_s);
                 format!(
-                    "{given} s is not a whole number of steps of {h} s: the nearest are {below} s and {above} s; or use steps of {step} s"
+                    "{given} s is not a whole number of steps of {h} s: {nearest}; or use steps of {step} s"
                 )
             })?;
             ("/duration_s", duration_s)

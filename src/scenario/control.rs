@@ -181,7 +181,7 @@ pub struct Wheels {
     /// Their moments of inertia about these in kg m^2, which the inertia of the body includes; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moments_kg_m2: Option<Vec<f64>>,
-    /// Their momenta about these at t = 0 in N m s: `j (w + a . Omega)`, w the speed relative to the body; those of wheels at rest in the body if absent.
+    /// Their momenta about these at t = 0 in N m s: `j (w + a . Omega)`, w the speed relative to the body; those of wheels at rest in the body if absent (in an ensemble those of the scene's own start, for every member).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub momenta: Option<Vec<f64>>,
     /// Largest motor torque in N m; none if absent.
@@ -602,7 +602,15 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
         limit(&format!("{at}/energy_error_above_j"), stop.energy_error_above_j, true)?;
         limit(&format!("{at}/for_s"), Some(stop.for_s), true)?;
         if let Some(AngleAbove { angle_rad, from }) = &stop.angle_above_rad {
-            limit(&format!("{at}/angle_above_rad/angle_rad"), Some(*angle_rad), true)?;
+            let angle_at = format!("{at}/angle_above_rad/angle_rad");
+            limit(&angle_at, Some(*angle_rad), true)?;
+            // Half a turn in each plane.
+            let largest = std::f64::consts::PI * libm::sqrt((n / 2) as f64);
+            ensure(*angle_rad < largest, angle_at, || {
+                format!(
+                    "{angle_rad:?} given, no angle is above {largest:.6} rad; give a smaller one"
+                )
+            })?;
             if let Some(given) = from {
                 attitude(&format!("{at}/angle_above_rad/from"), given, n)?;
             }

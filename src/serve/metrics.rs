@@ -132,7 +132,7 @@ impl Metrics {
             self.failures.get_or_create(&OfCode { code }).inc();
         }
         if let Some(summary) = &record.summary {
-            if let Some(ns) = summary["ns_per_step"].as_f64() {
+            if let Some(ns) = summary["ns_per_step"].as_f64().filter(|&ns| ns > 0.0) {
                 self.step_ns.observe(ns);
             }
             if let Some(iterations) = summary["solver"]["iterations_per_step"].as_f64() {

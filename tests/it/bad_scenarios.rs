@@ -991,6 +991,23 @@ fn answers_say_what_would_do() {
             "the nearest are 0.1 s and 0.2 s",
         ),
         (
+            change(&short, &[("/step_s", json!(20)), ("/duration_s", json!(10))]),
+            "/duration_s",
+            "the nearest is 20 s",
+        ),
+        (
+            change(
+                &short,
+                &[
+                    ("/step_s", json!(0.1)),
+                    ("/duration_s", json!(1)),
+                    ("/until", json!([{ "angle_above_rad": { "angle_rad": 3.2 } }])),
+                ],
+            ),
+            "/until/0/angle_above_rad/angle_rad",
+            "no angle is above 3.141593 rad",
+        ),
+        (
             change(
                 &short,
                 &[

@@ -427,11 +427,6 @@ impl<const N: usize> GalerkinStep<N> {
     }
 
     /// Was the step before solved by sweeps, and not as collocation with a deferred defect?
-    #[cfg(test)]
-    pub(super) fn was_swept(&self) -> bool {
-        matches!(self.solution.by, SolvedBy::Sweeps)
-    }
-
     /// Returns where the solution is stored.
     fn solution_ref(&self) -> SolutionRef<'_> {
         match (self.solution.by, &self.collocation, &self.in_vectors) {

@@ -4,8 +4,9 @@
 use std::fmt::Write;
 use std::{fs, path::PathBuf};
 
-use vpd_solve::hamiltonian::RigidBody;
+use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
+use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
@@ -121,4 +122,42 @@ fn the_work_of_a_step_is_as_reviewed() {
 #[ignore = "writes a file that a test reads: cargo test --release rewrite_the_counts -- --ignored"]
 fn rewrite_the_counts() {
     fs::write(file(), page()).expect("the file is written");
+}
+
+/// The comparison with the paper's literal step tests the deferred defect only where that solves the step: where it does, passes
+/// are counted, and a step that is swept after all takes more sweeps.
+#[test]
+fn a_modest_step_of_gauss_is_solved_by_the_deferred_defect() {
+    fn work_of_a_step<const N: usize>(tableau: Tableau, h: f64) -> Work {
+        let moments = std::array::from_fn(|i| 0.5 + 0.1 * i as f64);
+        let vector = |from: f64| Vector::<N>::from_fn(|i, _| from - 0.2 * i as f64);
+        let law = Law::Uniform { weight: 0.7, body_point: vector(0.5) };
+        let terms = vec![Term { law, space: vector(0.9) }];
+        let body = RigidBody::<N>::new(Kinetic::of_second_moments(moments), terms, 0.0)
+            .with_work(Work::default());
+        let entries: Vec<f64> = (0..so::dimension(N)).map(|k| 0.4 / (1 + k) as f64).collect();
+        let mut stepper = Vpd::new(tableau, StopRule::default());
+        stepper.start(&State { attitude: Mat::identity(), momentum: so::hat(&entries) });
+        stepper.step(&body, h).expect("a modest step");
+        body.work().clone()
+    }
+    for stages in [1, 2, 3, 5, 8] {
+        let gauss = || Tableau::gauss(stages).expect("1 to 8 stages");
+        for h in [0.05, 0.2, 0.4] {
+            let of_n = [
+                (3, work_of_a_step::<3>(gauss(), h)),
+                (4, work_of_a_step::<4>(gauss(), h)),
+                (7, work_of_a_step::<7>(gauss(), h)),
+            ];
+            for (n, work) in of_n {
+                let (passes, sweeps) = (work.passes(), work.sweeps());
+                println!("{n} {stages} {h} {passes} {sweeps}");
+                assert!(
+                    passes > 0 && sweeps <= 12,
+                    "n = {n}, {stages} stages, h = {h}: {sweeps} sweeps, {passes} passes"
+                );
+            }
+        }
+    }
+    assert_eq!(work_of_a_step::<4>(Tableau::rk3(), 0.05).passes(), 0);
 }

@@ -492,3 +492,51 @@ fn lyapunov_exponents() {
         assert!(pair.abs() < 0.05, "{found:?}");
     }
 }
+
+/// In vectors, from the stages of the stepper, a step has the derivative that it has in matrices, with the same bits with and
+/// without lanes.
+#[test]
+fn in_vectors_it_is_that_in_matrices() {
+    let mut numbers = Numbers(23);
+    let space = Vector::<3>::new(2.0, 1.5, 2.5);
+    let terms: Vec<_> =
+        Law::<3>::examples(|| numbers.next()).into_iter().map(|law| Term { law, space }).collect();
+    let rates = terms.iter().map(|term| BodyRate {
+        second_moments: so::symmetric_part(&numbers.matrix()),
+        terms: vec![(term.clone(), Term { law: term.law.clone(), space: space * 0.3 })],
+    });
+    let rates: Vec<_> = rates.collect();
+    let body = RigidBody::new(Kinetic::of_moments([1.0, 1.3, 0.6]), terms, 0.0);
+    let start = State {
+        attitude: so::exp(&so::hat(&[0.4, 0.2, -0.3])),
+        momentum: so::hat(&[0.1, 0.2, 0.8]),
+    };
+    let gradient = [0.3, -0.2, 0.5, 0.7, 0.1, -0.4];
+    for count in 1..=8 {
+        let tableau = Tableau::gauss(count).expect("gauss");
+        let mut stepper = VpdSo3::new(tableau.clone(), StopRule::default()).expect("n = 3");
+        stepper.start(&start);
+        stepper.step(&body, 0.1).expect("a modest step");
+        let of_step = |stages: &[State<3>], lanes: bool| {
+            let mut tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
+            if !lanes {
+                tangent = tangent.on_level(None);
+            }
+            let of_step = tangent.of_step(0.1, &start, stages).expect("a modest step");
+            let (by_start, by_parameters) = of_step.pull_back(&gradient, &rates);
+            let end = of_step.end().momentum.as_slice().to_vec();
+            let transition = of_step.transition().to_vec();
+            [transition, of_step.by_parameters(&rates), by_start, by_parameters, end]
+        };
+        let stages = stages_of(&stepper);
+        let own = of_step(&stages, true);
+        assert_eq!(own, of_step(&stages, false), "{count} stages");
+        // Without stages the equations are solved and differentiated in matrices.
+        for (own, other) in own.iter().zip(&of_step(&[], true)) {
+            let size = own.iter().fold(1.0, |size: f64, x| size.max(x.abs()));
+            let error =
+                own.iter().zip(other).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+            assert!(own.len() == other.len() && error < 1e-13 * size, "{count} stages: {error:e}");
+        }
+    }
+}

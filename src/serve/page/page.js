@@ -105,7 +105,7 @@ function facts({ plan, summary, attempts }) {
   }
   if (summary) {
     add("solver", `${figure(summary.solver.iterations_per_step)} iterations per step${summary.solver.kind ? ` (${summary.solver.kind})` : ""}`);
-    add("speed", `${count(Math.round(summary.ns_per_step))} ns per step`);
+    if (summary.ns_per_step) add("speed", `${count(Math.round(summary.ns_per_step))} ns per step`);
     add("samples", count(summary.samples));
   }
   if (attempts > 1) add("runs", `${attempts}: resumed where it was interrupted`);
