@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Tried};
 use super::{
     Asked, End, Ensemble, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary,
-    finish, header, note_errors, outcome, stopped,
+    finish, header, note_errors, ns_per_step, outcome, stopped,
 };
 use crate::assemble::{BodiesAssembly, BodiesTask};
 use crate::log::LogError;

@@ -8,7 +8,9 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{Asked, Control, End, JobContext, Reached, RunError, begin_log, finish, header};
+use super::{
+    Asked, Control, End, JobContext, Reached, RunError, begin_log, finish, header, ns_per_step,
+};
 use crate::assemble::{Assembly, BodiesAssembly, BodiesTask, Task, assembled, assembled_bodies};
 use crate::in_order::{Turns, cores, in_order};
 use crate::log::LogError;

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use super::end::{Asked, End, Reached, finish};
 use super::summary::{self, Advised};
-use super::{JobContext, Outcome, Recorder, RunError, Summary, begin_log};
+use super::{JobContext, Outcome, Recorder, RunError, Summary, begin_log, ns_per_step};
 use crate::log::course::Course;
 use crate::log::messages::Figures;
 use crate::log::scene::SceneGeometry;

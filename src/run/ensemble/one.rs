@@ -14,7 +14,6 @@ use crate::run::{Reached, RunError, json, note};
 use crate::scenario;
 use crate::solve::ensemble;
 use crate::solve::lanes::WIDTH;
-use crate::solve::so::Mat;
 use crate::solve::state::{Checkpoint, State};
 use crate::solve::trajectory::{Ending, Observables, Sample, Trajectory};
 use crate::study::spread;
@@ -172,20 +171,11 @@ fn outcome<const N: usize>(
 /// Returns the state that member 0 reached, from `initial`.
 fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Checkpoint<N> {
     let last = nominal.and_then(|end| end.last.as_ref()?.point());
-    let State { attitude, momentum } = last.unwrap_or_else(|| initial.clone());
     Checkpoint {
         step: nominal.map_or(0, |end| end.steps),
         samples: nominal.map_or(0, |end| end.samples),
-        attitude: Some(attitude),
-        momentum,
         iterations: nominal.map_or(0, |end| end.iterations),
         convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
-        work: 0.0,
-        impulse: Mat::zeros(),
-        table_impulse: 0.0,
-        own_time: None,
-        control: None,
-        holds_since_s: Vec::new(),
-        derivatives: None,
+        ..Checkpoint::at_start(last.as_ref().unwrap_or(initial))
     }
 }
