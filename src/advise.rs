@@ -486,6 +486,8 @@ fn settle(
     // The sort is stable: among equals the first in the list wins.
     contenders.sort_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
     let least = contenders.iter().filter_map(|tried| tried.least).min_by(f64::total_cmp);
+    // One that is small enough, but expected from a part of the run, explains nothing.
+    let least = least.filter(|&least| least > asked.error);
     let Some(Contender { entry, choice: Some(choice), .. }) = contenders.first_mut() else {
         return Err(out_of_reach(Obstacle::NoMethod { least }));
     };

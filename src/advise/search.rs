@@ -88,6 +88,9 @@ pub(super) struct Contender {
     pub(super) choice: Option<Choice>,
     /// The last step that was seen to reach the accuracy, while a larger one is tried.
     sure: Option<Choice>,
+    /// The step of the least error expected of those that are not: small enough, but not by the margin of an error that is
+    /// extrapolated.
+    nearly: Option<Choice>,
     /// The least error that was met.
     pub(super) least: Option<f64>,
     /// Whether it was given up because another method was cheaper.
@@ -301,7 +304,8 @@ impl Trial<'_> {
             steps = next;
         }
         let (entry, choice) = (entry.clone(), reached.map(|(_, choice)| choice));
-        Ok(Contender { entry, choice, sure: None, least, is_dear, tries: 0, far_tries: 0 })
+        let (sure, nearly) = (None, None);
+        Ok(Contender { entry, choice, sure, nearly, least, is_dear, tries: 0, far_tries: 0 })
     }
 
     /// Runs the cheapest as far as a reference reaches, follows it past that, and corrects its
@@ -315,7 +319,7 @@ impl Trial<'_> {
                 .filter(|tried| tried.choice.is_some())
                 .min_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
             let Some(contender) = cheapest else { return Ok(()) };
-            let Contender { entry, choice, sure, least, tries, far_tries, .. } = contender;
+            let Contender { entry, choice, sure, nearly, least, tries, far_tries, .. } = contender;
             let Some(at) = choice.filter(|choice| !choice.sure) else { return Ok(()) };
             if at.seen_s >= time_s {
                 let until_s =
@@ -355,12 +359,16 @@ impl Trial<'_> {
             if let Some(expected) = expected {
                 *least = Some(least.map_or(expected, |least| least.min(expected)));
             }
-            if let Some(expected) = expected.filter(|&expected| expected <= self.goal()) {
+            if let Some(expected) = expected {
                 let whole = self.is_whole();
-                let reached =
-                    Choice { step_s, expected, cost_ns, seen_s: time_s, sure: whole, ..at };
-                if sure.is_none_or(|sure| reached.cost_ns < sure.cost_ns) {
-                    *sure = Some(reached);
+                let tried = Choice { step_s, expected, cost_ns, seen_s: time_s, sure: whole, ..at };
+                if expected > self.goal() {
+                    let near = expected <= self.goal_seen_to(self.duration_s);
+                    if near && nearly.is_none_or(|nearly| expected < nearly.expected) {
+                        *nearly = Some(tried);
+                    }
+                } else if sure.is_none_or(|sure| tried.cost_ns < sure.cost_ns) {
+                    *sure = Some(tried);
                 }
             }
             let ratio = expected.map_or(2.0, |expected| {
@@ -386,7 +394,11 @@ impl Trial<'_> {
                     ..at
                 })
             } else {
-                *sure
+                // What is not sure enough from here is, if the run can be followed to its end.
+                let seen = |choice: &Choice| {
+                    self.affordable_s(*choice, FOLLOWED_PART, watch) >= self.duration_s
+                };
+                sure.or(nearly.filter(seen))
             };
         }
     }
