@@ -151,7 +151,6 @@ fn a_modest_step_of_gauss_is_solved_by_the_deferred_defect() {
             ];
             for (n, work) in of_n {
                 let (passes, sweeps) = (work.passes(), work.sweeps());
-                println!("{n} {stages} {h} {passes} {sweeps}");
                 assert!(
                     passes > 0 && sweeps <= 12,
                     "n = {n}, {stages} stages, h = {h}: {sweeps} sweeps, {passes} passes"
