@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use crate::plan::{EnsemblePlan, Formulation, Plan};
 use crate::run::{DerivativesSummary, EnergySummary, Summary};
+use crate::scenario::twelve_digits;
 
 /// What an error at the end counts: see [`crate::study::Reference::distance`].
 const ERROR_IS: &str = "radians of attitude, and the momentum in parts of its largest";
@@ -21,7 +22,7 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
             "{}, {} steps to t = {} s",
             summary.outcome.as_str(),
             summary.steps,
-            summary.time_s
+            twelve_digits(summary.time_s)
         ),
     );
     if let Some(start) = &plan.start {
