@@ -203,6 +203,7 @@ impl<T: StepScalar, const K: usize> Real for Rows<T, K> {
 /// as they lie in memory.
 macro_rules! stages_in_turn {
     ($stages:tt, $whole:ty, $plain:ty, $group:tt $(, $simd:ident)?) => {
+        #[allow(unconditional_panic, reason = "each index stands behind a condition on it")]
         impl$(<$simd: Simd>)? Stored for Rows<$whole, $stages> {
             const LANES: usize = $stages * <$whole as Stored>::LANES;
             type Wide = Rows<$whole, { $stages * $group }>;
@@ -264,6 +265,7 @@ macro_rules! stages_in_turn {
             }
         }
 
+        #[allow(unconditional_panic, reason = "each index stands behind a condition on it")]
         impl$(<$simd: Simd>)? StageScalar for Rows<$whole, $stages> {
             type StepScalar = $whole;
             type Storage = $plain;
