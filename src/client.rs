@@ -76,7 +76,9 @@ pub enum ClientError {
         source: io::Error,
     },
     /// The caller stopped it.
-    #[error("interrupted; the job goes on, and the same command follows it again")]
+    #[error(
+        "interrupted; what the service has taken goes on there: `vpd jobs` shows it, and `vpd fetch` brings its log"
+    )]
     Stopped,
 }
 
@@ -87,6 +89,7 @@ pub struct Client {
     token: Option<String>,
     agent: Agent,
     patience: Duration,
+    tell: fn(&ClientError),
 }
 
 /// A client that a stop ends, in the middle of a wait or of a download.
@@ -111,7 +114,13 @@ impl Client {
             .timeout_per_read(Some(SILENCE))
             .user_agent(concat!("vpd/", env!("CARGO_PKG_VERSION")))
             .build();
-        Ok(Self { base, token, agent: config.new_agent(), patience })
+        Ok(Self { base, token, agent: config.new_agent(), patience, tell: |_| () })
+    }
+
+    /// Has the reason told for which a request is tried again, the first time.
+    #[must_use]
+    pub fn telling(self, tell: fn(&ClientError)) -> Self {
+        Self { tell, ..self }
     }
 
     /// Sends a scenario as a job; returns the job as the service took it. The same `key` gives the same job; without one, the
@@ -351,6 +360,7 @@ impl Client {
     ) -> Result<Response<ureq::Body>, ClientError> {
         let deadline = Instant::now() + self.patience;
         let [mut pause, longest] = PAUSES;
+        let mut told = false;
         loop {
             let (wait, error) = match send() {
                 Ok(answer) if answer.status().as_u16() < 400 => return Ok(answer),
@@ -394,6 +404,9 @@ impl Client {
             };
             if Instant::now() + wait > deadline {
                 return Err(error);
+            }
+            if !std::mem::replace(&mut told, true) {
+                (self.tell)(&error);
             }
             slept(wait, stop)?;
         }

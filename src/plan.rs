@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use crate::log::schema::{Channel, Scenery};
 use crate::method::Integrator;
 use crate::scenario::{
-    Adaptive, Coefficients, DrivenTerm, Ensemble, Path, PotentialTerm, Scenario, ScenarioError,
-    Solver, TableauChoice, Through, Torque,
+    Adaptive, Coefficients, DrivenTerm, Ensemble, Field, Path, PotentialTerm, Scenario,
+    ScenarioError, Solver, TableauChoice, Target, Through, Torque,
 };
 use crate::solve::composition::Composition;
 use crate::solve::failure::two_digits;
@@ -420,6 +420,7 @@ impl Plan {
         plan.warnings.extend(no_body(&inertia));
         plan.warnings.extend(below_parallel_axis(&scenario.scene.potential, &inertia));
         plan.warnings.extend(plan.weak_gradients());
+        plan.warnings.extend(plan.orbits_differ());
         plan.warnings.extend(plan.times_coincide());
         plan.warnings.extend(plan.tumbles());
         plan.estimate(FirstSteps::default());
@@ -602,6 +603,37 @@ impl Plan {
             })
         };
         self.model.driven.iter().enumerate().filter_map(mistaken).collect()
+    }
+
+    /// Warns of a target or a field on another orbit than gravity: their mean motions are given apart.
+    fn orbits_differ(&self) -> Option<String> {
+        /// Parts of the mean motion by which they may differ.
+        const APART: f64 = 0.01;
+        let scene = &self.settled.scene;
+        let gravity = scene.driven.iter().enumerate().filter_map(|(index, driven)| {
+            match (&driven.term, &driven.path) {
+                (PotentialTerm::GravityGradient(_), Some(Path::Orbit(orbit))) => {
+                    Some((format!("/scene/driven/{index}/path/orbit"), orbit.mean_motion_rad_s))
+                }
+                _ => None,
+            }
+        });
+        let target = scene.control.as_ref().and_then(|control| match &control.target {
+            Some(Target::Orbit(orbit)) => {
+                Some(("/scene/control/target/orbit".to_owned(), orbit.mean_motion_rad_s))
+            }
+            _ => None,
+        });
+        let field = scene.field.as_ref().map(|Field::Dipole(dipole)| {
+            ("/scene/field/dipole/orbit".to_owned(), dipole.orbit.mean_motion_rad_s)
+        });
+        let orbits: Vec<_> = gravity.chain(target).chain(field).collect();
+        let (first, n) = orbits.first()?;
+        let differs = |(_, other): &&(String, f64)| (other.abs() - n.abs()).abs() > APART * n.abs();
+        let (other, m) = orbits.iter().find(differs)?;
+        Some(format!(
+            "{first} has the mean motion {n:e} rad/s, {other} has {m:e}: one body is on one orbit"
+        ))
     }
 
     /// Warns of samples that are closer than the nanoseconds of log times.

@@ -49,8 +49,9 @@ pub use record::Recording;
 pub use simulation::{Advanced, Simulation};
 use summary::{Advised, EnergySeen};
 pub use summary::{
-    BodySpread, CovarianceSummary, DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary,
-    FinalBody, FinalState, MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
+    BodySpread, ControlSummary, CovarianceSummary, DerivativesSummary, Diagnosis, EnergySummary,
+    EnsembleSummary, FinalBody, FinalState, MomentumSummary, OrthogonalitySummary, Outcome,
+    SolverSummary, Summary,
 };
 
 /// Inputs that a run shares with other threads.

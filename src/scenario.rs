@@ -47,7 +47,9 @@ pub use ensemble::Ensemble;
 pub use faces::{Drag, DragFace, LitFace, SolarPressure};
 pub use orbit::{FieldOrbit, Oblateness};
 pub(crate) use parse::{from_tree, read_text, tree as read_tree, without_mark};
-pub(crate) use range::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure, semidefinite};
+pub(crate) use range::{
+    LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, SMALLEST_STRENGTH, ensure, semidefinite,
+};
 pub use steps::{Adaptive, Steps};
 pub use term::*;
 

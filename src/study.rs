@@ -147,7 +147,7 @@ fn threads(watch: &Watch) -> usize {
 /// The errors of planning it.
 #[cfg(feature = "serve")]
 pub(crate) fn scene_of(scene: &Scenario) -> Result<(), ScenarioError> {
-    measure::variant(scene, &Method::default(), 1.0, 1).map(drop)
+    measure::of_method(scene, &Method::default()).map(drop)
 }
 
 /// A method that takes part in a study.
@@ -169,7 +169,7 @@ impl Entry {
     /// # Errors
     /// The errors of planning the scene with the method.
     pub fn new(scene: &Scenario, method: Method) -> Result<Self, ScenarioError> {
-        let formulation = measure::variant(scene, &method, 1.0, 1)?.formulation;
+        let formulation = measure::of_method(scene, &method)?.formulation;
         let tableau = match (&method.tableau, formulation.tableau) {
             (Some(TableauChoice::Custom(_)), _) => "given".to_owned(),
             (_, Some(name)) => name,
@@ -187,6 +187,17 @@ impl Entry {
         match self.method.solver.kind {
             SolverKind::Auto => format!("{name} {}", self.tableau),
             kind => format!("{name} {}, {}", self.tableau, solver_word(kind)),
+        }
+    }
+}
+
+/// Numbers the entries whose tableaux have coefficients of their own, where there are several.
+pub(crate) fn tell_apart(entries: &mut [Entry]) {
+    let given = entries.iter_mut().filter(|entry| entry.tableau == "given");
+    let given: Vec<_> = given.collect();
+    if given.len() > 1 {
+        for (k, entry) in given.into_iter().enumerate() {
+            entry.tableau = format!("given {}", k + 1);
         }
     }
 }
@@ -330,6 +341,10 @@ impl Scales {
 pub(crate) fn nearest_sigma(scene: &Scenario, time_s: f64) -> Result<Option<f64>, ScenarioError> {
     const MOST_NS: u64 = 10_000_000;
     const MOST_STEPS: f64 = 1e6;
+    // One step of the whole time: that many samples of a control are refused.
+    if scene.scene.control.is_some() {
+        return Ok(None);
+    }
     let plan = measure::variant(scene, &Method::default(), time_s, 1)?;
     if !plan.can_adapt() {
         return Ok(None);

@@ -6,7 +6,7 @@
 use crate::method::Integrator;
 use crate::plan::Candidate;
 use crate::scenario::{Accuracy, Scenario};
-use crate::study::measure::{Measured, Probe, measure, variant};
+use crate::study::measure::{Measured, Probe, measure, of_method};
 use crate::study::reference::{Growth, QUARTERS, Reference};
 use crate::study::{Entry, Scales, StudyError, Watch, entries};
 
@@ -260,7 +260,7 @@ impl Trial<'_> {
         let mut steps = multiple(time_s * self.scales.fastest_rad_s, unit);
         let (mut reached, mut least) = (None::<(u64, Choice)>, None::<f64>);
         let (mut too_few, mut is_dear) = (0, false);
-        let plan = variant(self.scenario, &entry.method, 1.0, 1)?;
+        let plan = of_method(self.scenario, &entry.method)?;
         let part = plan.part_of_member(self.members());
         let usual_ns = part * plan.step_ns;
         for _ in 0..TRIES {

@@ -40,7 +40,9 @@ impl ServiceArgs {
         };
         let wrong = || CliError::Format(format!("{} s of patience given", self.patience));
         let patience = Duration::try_from_secs_f64(self.patience).map_err(|_| wrong())?;
-        Ok(Client::new(&self.to, token, patience)?)
+        Ok(Client::new(&self.to, token, patience)?.telling(|error| {
+            let _ = writeln!(io::stderr(), "vpd: {error}; it is tried again");
+        }))
     }
 }
 

@@ -24,7 +24,7 @@ use crate::scenario::{
 use crate::study::long_term::long_term;
 use crate::study::precision::{Precision, precision, timing};
 use crate::study::stability::{Border, Resonance, stability_so_far};
-use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
+use crate::study::{Entry, StudyError, Watch, all_methods, tell_apart, usual_methods};
 
 #[derive(Debug, Args)]
 pub(super) struct ChartArgs {
@@ -85,7 +85,9 @@ impl StudyArgs {
         }
         let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
         let entry = |word: &MethodWord| Entry::new(scene, word.0.clone()).map_err(wrong);
-        self.methods.iter().map(entry).collect()
+        let mut entries: Vec<_> = self.methods.iter().map(entry).collect::<Result<_, _>>()?;
+        tell_apart(&mut entries);
+        Ok(entries)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use crate::plan::{EnsemblePlan, Formulation, Plan};
-use crate::run::{DerivativesSummary, EnergySummary, Summary};
+use crate::run::{ControlSummary, DerivativesSummary, EnergySummary, Summary};
 use crate::scenario::twelve_digits;
 
 /// What an error at the end counts: see [`crate::study::Reference::distance`].
@@ -96,6 +96,16 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
     }
     if let Some(error) = summary.table_impulse_max_error {
         line("impulse", format!("that of the tables to {error:.2e} N m s"));
+    }
+    if let Some(ControlSummary { samples, saturated, pointing_error_rad }) = summary.control {
+        let cut = match saturated {
+            0 => "no limit cut a command".to_owned(),
+            saturated => format!("a limit cut the command at {saturated} of {samples} samples"),
+        };
+        let error = pointing_error_rad.map_or_else(String::new, |error| {
+            format!(", pointing error {error:.2e} rad at the last sample")
+        });
+        line("control", cut + &error);
     }
     if let Some(DerivativesSummary { transition_norm, symplectic_error }) = summary.derivatives {
         line(

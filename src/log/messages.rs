@@ -616,6 +616,10 @@ impl Figures {
             orthogonality_error: sample.orthogonality_error,
             momentum_drift: sample.momentum_drift,
             table_impulse_error: sample.table_impulse_error,
+            control: sample
+                .control
+                .as_ref()
+                .map(|seen| (seen.is_saturated, seen.pointing_error_rad)),
         });
     }
 
@@ -626,6 +630,7 @@ impl Figures {
             orthogonality_error: sample.orthogonality_error,
             momentum_drift: sample.momentum_drift,
             table_impulse_error: None,
+            control: None,
         });
     }
 
@@ -654,6 +659,11 @@ impl Figures {
             let before = self.table_impulse_max_error.unwrap_or_default();
             self.table_impulse_max_error = Some(error.abs().max(before));
         }
+        if let Some((is_saturated, pointing_error_rad)) = sample.control {
+            *self.control_samples.get_or_insert_default() += 1;
+            *self.control_saturated.get_or_insert_default() += u64::from(is_saturated);
+            self.pointing_error_last = pointing_error_rad;
+        }
     }
 }
 
@@ -664,6 +674,8 @@ struct Kept {
     orthogonality_error: Option<f64>,
     momentum_drift: Option<f64>,
     table_impulse_error: Option<f64>,
+    /// Whether a command is saturated, and the angle to the target, at a sample of the control.
+    control: Option<(bool, Option<f64>)>,
 }
 
 /// Returns the body's frame as seen from space, for viewers, and behind it those of what moves

@@ -179,9 +179,13 @@ impl Plan {
         (self.work_step_ns, self.step_ns) = (step_ns, timed_ns.unwrap_or(step_ns));
         let (sample_ns, written_ns) = (self.sample_cost_ns(raw), self.written_ns(raw));
         let samples_ns = self.samples as f64 * sample_ns;
-        // A knot of a table ends a step, and makes two of it.
-        let steps = self.steps as f64
-            + self.model.knots_within(self.steps as f64 * self.step_s, self.step_s);
+        // A knot of a table ends a step, and makes two of it. Samples of a control that each step has are in the work of the
+        // first.
+        let steps = self.steps as f64;
+        let knots = self.model.knots_within(steps * self.step_s, self.step_s);
+        let in_each = self.model.control.knots_within(steps * self.step_s, self.step_s);
+        let counted = of_step.is_some() && in_each >= steps;
+        let steps = steps + if counted { knots - in_each } else { knots };
         let run_ns = |step_ns: f64| START_NS + steps * step_ns + samples_ns;
         self.work_s = 1e-9 * run_ns(step_ns);
         self.run_s = 1e-9 * (part * failing_ns + (1.0 - part) * run_ns(self.step_ns));

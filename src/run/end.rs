@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::summary::{
-    self, CovarianceSummary, DerivativesSummary, Diagnosis, EnergySeen, EnsembleSummary,
-    FinalState, MomentumSummary, Outcome, SolverSummary, Summary,
+    self, ControlSummary, CovarianceSummary, DerivativesSummary, Diagnosis, EnergySeen,
+    EnsembleSummary, FinalState, MomentumSummary, Outcome, SolverSummary, Summary,
 };
 use super::{RunError, json};
 #[cfg(feature = "chart")]
@@ -146,6 +146,7 @@ pub(super) fn finish(
         orthogonality: summary::orthogonality(figures, reached.samples),
         momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
         table_impulse_max_error: figures.table_impulse_max_error,
+        control: ControlSummary::of(figures),
         solver: SolverSummary {
             iterations_per_step: reached.iterations as f64 / reached.step.max(1) as f64,
             kind: reached.convergence.map(|solved| solved.rung.as_str().to_owned()),

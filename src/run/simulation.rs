@@ -11,8 +11,8 @@ use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
 use crate::plan::Plan;
 use crate::scenario::{
-    Entry, Framed, Interpolation, MAX_SIZE, Scenario, ScenarioError, Table, Torque, TorqueTable,
-    ensure,
+    Entry, Framed, Interpolation, MAX_SIZE, SMALLEST_STRENGTH, Scenario, ScenarioError, Table,
+    Torque, TorqueTable, ensure,
 };
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::{RigidBody, Torque as BodyTorque};
@@ -155,7 +155,7 @@ impl Simulation {
         self.changes.len() - 1
     }
 
-    /// Sets the torque that is held from now on.
+    /// Sets the torque that is held from now on. A component below 1e-30 N m, which no scenario holds, is none.
     ///
     /// # Errors
     /// If it has the wrong length, or a number that a scenario cannot hold.
@@ -169,15 +169,17 @@ impl Simulation {
                 format!("{x:?} given, the size of a number is at most {MAX_SIZE:e}")
             })?;
         }
+        let held = |x: &f64| if x.abs() < SMALLEST_STRENGTH { 0.0 } else { *x };
+        let torque: Vec<f64> = torque.iter().map(held).collect();
         if torque == self.torque {
             return Ok(());
         }
-        self.torque.copy_from_slice(torque);
-        self.carried.set_torque(torque);
+        self.carried.set_torque(&torque);
         match self.changes.last_mut() {
-            Some((step, held)) if *step == self.steps => held.copy_from_slice(torque),
-            _ => self.changes.push((self.steps, torque.to_vec())),
+            Some((step, held)) if *step == self.steps => held.clone_from(&torque),
+            _ => self.changes.push((self.steps, torque.clone())),
         }
+        self.torque = torque;
         Ok(())
     }
 

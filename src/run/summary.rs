@@ -72,6 +72,9 @@ pub struct Summary {
     /// tables, in N m s; absent without such torques, or if `/momentum` was not logged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table_impulse_max_error: Option<f64>,
+    /// The control; absent without one, or if `/control` was not logged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<ControlSummary>,
     /// The nonlinear solver.
     pub solver: SolverSummary,
     /// Wall time of the whole run in seconds.
@@ -258,6 +261,29 @@ pub struct OrthogonalitySummary {
 pub struct MomentumSummary {
     /// Largest drift.
     pub max_drift: f64,
+}
+
+/// The control over its samples that fall on samples of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ControlSummary {
+    /// Their number.
+    pub samples: u64,
+    /// Number of those where a limit cut a command.
+    pub saturated: u64,
+    /// Angle to the target at the last of them, in radians; absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pointing_error_rad: Option<f64>,
+}
+
+impl ControlSummary {
+    /// Returns that of the figures of a run.
+    pub(super) fn of(figures: &Figures) -> Option<Self> {
+        Some(Self {
+            samples: figures.control_samples?,
+            saturated: figures.control_saturated.unwrap_or_default(),
+            pointing_error_rad: figures.pointing_error_last,
+        })
+    }
 }
 
 /// The nonlinear solver over the run.

@@ -392,9 +392,12 @@ impl Bodies {
     /// Returns the number of a body, whose name stands at `pointer`.
     pub(crate) fn known(&self, pointer: &str, name: &str) -> Result<usize, ScenarioError> {
         self.number(name).ok_or_else(|| {
-            let near = nearest(name, self.bodies.iter().map(|body| body.name.as_str()));
-            let near = near.map(|near| format!("; did you mean `{near}`?")).unwrap_or_default();
-            let message = format!("`{name}` given, but no body has that name{near}");
+            let names = || self.bodies.iter().map(|body| body.name.as_str());
+            let else_ = match nearest(name, names()) {
+                Some(near) => format!("; did you mean `{near}`?"),
+                None => format!("; there are {}", names().take(8).collect::<Vec<_>>().join(", ")),
+            };
+            let message = format!("`{name}` given, but no body has that name{else_}");
             ScenarioError::invalid(pointer, message)
         })
     }

@@ -8,7 +8,7 @@ pub(crate) const MAX_SIZE: f64 = 1e15;
 /// still a number.
 pub(super) const SMALLEST_SIZE: f64 = 1e-15;
 /// Smallest strength of a term that is not zero.
-const SMALLEST_STRENGTH: f64 = 1e-30;
+pub(crate) const SMALLEST_STRENGTH: f64 = 1e-30;
 /// Largest seed: JSON numbers are exact up to here.
 pub(crate) const LARGEST_SEED: u64 = (1 << 53) - 1;
 /// Most steps of a run.

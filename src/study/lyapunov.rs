@@ -49,7 +49,7 @@ pub fn exponents(scenario: &Scenario, watch: &Watch) -> Result<Lyapunov, Exponen
     asked.derivatives = Some(Derivatives { state: true, ..Derivatives::default() });
     asked.check().map_err(|error| match error.pointer.as_str() {
         "/derivatives" => {
-            let message = format!("are what exponents are made of; they {}", error.message);
+            let message = format!("{}; exponents are made of them", error.message);
             ScenarioError { message, ..error }
         }
         _ => error,

@@ -288,6 +288,13 @@ pub(crate) fn variant(
     Plan::new(&scenario)
 }
 
+/// Returns the plan of a scene with another method, for what the method makes of it: of one step that any scene may take.
+pub(crate) fn of_method(scene: &Scenario, method: &Method) -> Result<Plan, ScenarioError> {
+    // A step may hold so many samples of a control.
+    let step_s = scene.scene.control.as_ref().map_or(1.0, |control| control.every_s.min(1.0));
+    variant(scene, method, step_s, 1)
+}
+
 /// Number of runs that this process has made to measure them.
 static RUNS: AtomicU64 = AtomicU64::new(0);
 
@@ -498,7 +505,7 @@ pub(crate) fn initial_rates(scene: &Scenario) -> Result<Rates, ScenarioError> {
             Rates { turn_rad_s, damping_per_s: body.damping_rate() }
         }
     }
-    let plan = variant(scene, &Method::default(), 1.0, 1)?;
+    let plan = of_method(scene, &Method::default())?;
     if scene.bodies().is_some() {
         let turn_rad_s = assembled_bodies(&plan, bodies::Rate);
         return Ok(Rates { turn_rad_s, damping_per_s: 0.0 });

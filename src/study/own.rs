@@ -186,6 +186,10 @@ impl<'a, const N: usize, Y: System<N> + ?Sized> Runs for OfSystem<'a, N, Y> {
         None
     }
 
+    fn longest_step_s(&self) -> Option<f64> {
+        None
+    }
+
     fn exact(&self) -> &Self::Method {
         self.exact
     }

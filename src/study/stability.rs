@@ -235,6 +235,9 @@ pub(super) trait Runs {
     /// Returns the time in seconds beyond which nothing is known of what acts: the end of a table.
     fn known_until_s(&self) -> Option<f64>;
 
+    /// Returns the longest step in seconds that is one step: at samples of a control each step ends.
+    fn longest_step_s(&self) -> Option<f64>;
+
     /// Returns the method that is taken as exact in steps that are known to work.
     fn exact(&self) -> &Self::Method;
 
@@ -260,6 +263,10 @@ impl Runs for OfScene<'_> {
 
     fn known_until_s(&self) -> Option<f64> {
         self.scene.scene.known_until_s()
+    }
+
+    fn longest_step_s(&self) -> Option<f64> {
+        self.scene.scene.control.as_ref().map(|control| control.every_s)
     }
 
     fn exact(&self) -> &Entry {
@@ -322,8 +329,9 @@ impl<R: Runs> Mapper<R> {
     pub(super) fn sweep(&self) -> Vec<f64> {
         let (low, high) = TURNS_RAD;
         let ratio = libm::pow(high / low, 1.0 / (SWEEP - 1) as f64);
-        let longest_s =
-            self.runs.known_until_s().map_or(f64::INFINITY, |end_s| end_s / LEAST_STEPS);
+        let longest_s = self.runs.known_until_s().map(|end_s| end_s / LEAST_STEPS);
+        let longest_s = longest_s.into_iter().chain(self.runs.longest_step_s());
+        let longest_s = longest_s.fold(f64::INFINITY, f64::min);
         // Where the tables end before the body has turned, the sweep ends with them.
         let less = (longest_s / (high / self.scales.fastest_rad_s)).min(1.0);
         let step_s = |k: usize| low * libm::pow(ratio, k as f64) / self.scales.fastest_rad_s;

@@ -105,6 +105,8 @@ function facts({ plan, summary, attempts }) {
   }
   if (summary) {
     add("solver", `${figure(summary.solver.iterations_per_step)} iterations per step${summary.solver.kind ? ` (${summary.solver.kind})` : ""}`);
+    const control = summary.control;
+    if (control) add("control", control.saturated ? `a limit cut the command at ${count(control.saturated)} of ${count(control.samples)} samples` : "no limit cut a command");
     if (summary.ns_per_step) add("speed", `${count(Math.round(summary.ns_per_step))} ns per step`);
     add("samples", count(summary.samples));
   }

@@ -15,7 +15,7 @@ use crate::study::long_term::long_term;
 use crate::study::precision::precision;
 use crate::study::stability::stability;
 use crate::study::table::Table;
-use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
+use crate::study::{Entry, StudyError, Watch, all_methods, tell_apart, usual_methods};
 use crate::sweep::{self, Options, Sweep, SweepError, SweepFile};
 
 /// Most methods of a study.
@@ -202,7 +202,7 @@ impl Methods {
                 until_s.unwrap_or_default()
             ),
         )?;
-        let entries = match (methods.is_empty(), kind) {
+        let mut entries = match (methods.is_empty(), kind) {
             (true, Kind::Stability) => all_methods(&scene),
             (true, _) => usual_methods(&scene),
             (false, _) => methods
@@ -215,8 +215,9 @@ impl Methods {
                         ScenarioError { pointer, ..error }
                     })
                 })
-                .collect::<Result<_, _>>()?,
+                .collect::<Result<Vec<_>, _>>()?,
         };
+        tell_apart(&mut entries);
         Ok(Self { kind, scene, entries, until_s })
     }
 
