@@ -42,8 +42,8 @@ mod serial;
 mod simd;
 
 pub(crate) use dispatch::{
-    apart, extras, has_member_lanes, in_eight_stage_lanes, in_lanes, in_member_lanes,
-    in_stage_lanes, widest,
+    extras, has_member_lanes, in_eight_stage_lanes, in_lanes, in_member_lanes, in_stage_lanes,
+    widest,
 };
 pub use serial::Rows;
 

@@ -93,15 +93,9 @@ macro_rules! in_stage_lanes {
         match (in_lanes, $stages) {
             (Some(done), _) => done,
             (None, 1) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 1]), $arguments),
-            (None, 2) => $crate::lanes::apart(
-                || in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 2]), $arguments)
-            ),
-            (None, 3 | 4) => $crate::lanes::apart(
-                || in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 4]), $arguments)
-            ),
-            (None, _) => $crate::lanes::apart(
-                || in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 8]), $arguments)
-            ),
+            (None, 2) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 2]), $arguments),
+            (None, 3 | 4) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 4]), $arguments),
+            (None, _) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 8]), $arguments),
         }
     }};
     (
@@ -131,17 +125,9 @@ macro_rules! in_eight_stage_lanes {
         };
         match in_lanes {
             Some(done) => done,
-            None => $crate::lanes::apart(
-                || $module::$work::<_, { USER | DRIVEN }>(Rows([0.0; 8]), $($argument),*)
-            ),
+            None => $module::$work::<_, { USER | DRIVEN }>(Rows([0.0; 8]), $($argument),*),
         }
     }};
-}
-
-/// Does work in a function of its own: many of them in one take minutes to compile.
-#[inline(never)]
-pub(crate) fn apart<T>(work: impl FnOnce() -> T) -> T {
-    work()
 }
 
 /// Methods of a type with a method `lanes` whose bodies are compiled for the instruction set of these lanes, each once.

@@ -101,20 +101,6 @@ impl StepScalar for f64 {
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<T, const K: usize>(pub [T; K]);
 
-/// Does something for each stage, written out: a compiler that has to unroll thousands of loops takes minutes.
-macro_rules! for_each_stage {
-    ($stages:expr, $k:ident => $work:expr) => {
-        const { assert!($stages <= WIDTH) };
-        for_each_stage!(@ $stages, $k => $work; 0 1 2 3 4 5 6 7);
-    };
-    (@ $stages:expr, $k:ident => $work:expr; $($stage:literal)*) => {
-        $(if const { $stages > $stage } {
-            let $k: usize = $stage;
-            $work;
-        })*
-    };
-}
-
 /// Elementwise, in place: no closure, which would not be compiled for the instruction set of its caller.
 macro_rules! elementwise {
     ($self:ident, $k:ident => $element:expr) => {
@@ -122,7 +108,9 @@ macro_rules! elementwise {
     };
     ($self:ident, K = $stages:expr, $k:ident => $element:expr) => {{
         let mut result = $self.0;
-        for_each_stage!($stages, $k => result[$k] = $element);
+        for $k in 0..$stages {
+            result[$k] = $element;
+        }
         Self(result)
     }};
 }
@@ -203,7 +191,6 @@ impl<T: StepScalar, const K: usize> Real for Rows<T, K> {
 /// as they lie in memory.
 macro_rules! stages_in_turn {
     ($stages:tt, $whole:ty, $plain:ty, $group:tt $(, $simd:ident)?) => {
-        #[allow(unconditional_panic, reason = "each index stands behind a condition on it")]
         impl$(<$simd: Simd>)? Stored for Rows<$whole, $stages> {
             const LANES: usize = $stages * <$whole as Stored>::LANES;
             type Wide = Rows<$whole, { $stages * $group }>;
@@ -218,25 +205,27 @@ macro_rules! stages_in_turn {
             #[inline(always)]
             fn put(self, to: &mut [f64]) {
                 let to = &mut to[..Self::LANES];
-                for_each_stage!($stages, k => self.0[k].put(&mut to[k * <$whole as Stored>::LANES..]));
+                for k in 0..$stages {
+                    self.0[k].put(&mut to[k * <$whole as Stored>::LANES..]);
+                }
             }
 
             #[inline(always)]
             fn get_wide(self, from: &[f64]) -> Self::Wide {
                 let from = &from[..$group * Self::LANES];
                 let mut wide = [self.0[0]; $stages * $group];
-                for_each_stage!(
-                    $stages * $group, k => wide[k] = self.0[0].get(&from[k * <$whole as Stored>::LANES..])
-                );
+                for k in 0..$stages * $group {
+                    wide[k] = self.0[0].get(&from[k * <$whole as Stored>::LANES..]);
+                }
                 Rows(wide)
             }
 
             #[inline(always)]
             fn put_wide(wide: Self::Wide, to: &mut [f64]) {
                 let to = &mut to[..$group * Self::LANES];
-                for_each_stage!(
-                    $stages * $group, k => wide.0[k].put(&mut to[k * <$whole as Stored>::LANES..])
-                );
+                for k in 0..$stages * $group {
+                    wide.0[k].put(&mut to[k * <$whole as Stored>::LANES..]);
+                }
             }
 
             #[inline(always)]
@@ -265,7 +254,6 @@ macro_rules! stages_in_turn {
             }
         }
 
-        #[allow(unconditional_panic, reason = "each index stands behind a condition on it")]
         impl$(<$simd: Simd>)? StageScalar for Rows<$whole, $stages> {
             type StepScalar = $whole;
             type Storage = $plain;
@@ -278,7 +266,9 @@ macro_rules! stages_in_turn {
 
             #[inline(always)]
             fn store(self, plain: &mut Self::Storage) {
-                for_each_stage!($stages, k => StepScalar::store(self.0[k], &mut plain[k]));
+                for k in 0..$stages {
+                    StepScalar::store(self.0[k], &mut plain[k]);
+                }
             }
 
             #[inline(always)]
@@ -309,21 +299,23 @@ macro_rules! stages_in_turn {
             #[inline(always)]
             fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self {
                 let mut rows = self.0;
-                for_each_stage!($stages, k => {
+                for k in 0..$stages {
                     macro_rules! term {
                         ($j:literal) => {
                             self.0[$j] * columns[$j][k]
                         };
                     }
                     rows[k] = by_halves!($stages, term);
-                });
+                }
                 Self(rows)
             }
 
             #[inline(always)]
             fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH] {
                 let mut lanes = [self; WIDTH];
-                for_each_stage!(WIDTH, k => lanes[k] = self.row(&rows[k]));
+                for k in 0..WIDTH {
+                    lanes[k] = self.row(&rows[k]);
+                }
                 lanes
             }
 
@@ -331,14 +323,14 @@ macro_rules! stages_in_turn {
             fn combination(x: &[f64], columns: &[Self; WIDTH]) -> Self {
                 let x = columns[0].get(x);
                 let mut rows = x.0;
-                for_each_stage!($stages, k => {
+                for k in 0..$stages {
                     macro_rules! term {
                         ($j:literal) => {
                             x.0[$j] * columns[$j].0[k]
                         };
                     }
                     rows[k] = by_halves!($stages, term);
-                });
+                }
                 Self(rows)
             }
 

@@ -22,7 +22,7 @@
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use crate::hamiltonian::RigidBody;
-use crate::lanes::{Real, Row, Rows, StageScalar, WIDTH, apart, widest};
+use crate::lanes::{Real, Row, Rows, StageScalar, WIDTH, widest};
 use crate::so::{self, Mat};
 use crate::so3;
 use crate::space::{
@@ -208,9 +208,9 @@ impl Vectors {
         match (in_lanes, self.stages) {
             (Some(done), _) => done,
             (None, 1) => self.differentiated::<_, 8>(Rows([0.0; 1])),
-            (None, 2) => apart(|| self.differentiated::<_, 8>(Rows([0.0; 2]))),
-            (None, 3 | 4) => apart(|| self.differentiated::<_, 16>(Rows([0.0; 4]))),
-            (None, _) => apart(|| self.differentiated::<_, 24>(Rows([0.0; 8]))),
+            (None, 2) => self.differentiated::<_, 8>(Rows([0.0; 2])),
+            (None, 3 | 4) => self.differentiated::<_, 16>(Rows([0.0; 4])),
+            (None, _) => self.differentiated::<_, 24>(Rows([0.0; 8])),
         }
     }
 
