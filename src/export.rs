@@ -170,6 +170,8 @@ fn of_member(member: &Member) -> Vec<Field> {
         Field::number("orthogonality_error_max", &figures.orthogonality_max),
         Field::number("momentum_drift_max", &figures.momentum_max_drift),
         Field::number("kinetic_max", &figures.kinetic_max),
+        Field::number("control_saturated", &figures.control_saturated.map(|count| count as f64)),
+        Field::number("pointing_error_rad", &figures.pointing_error_last),
     ]);
     fields
 }

@@ -194,7 +194,9 @@ mod _native {
         if columns.is_empty() {
             return Err(other(
                 py,
-                &format!("{} holds no samples of member {member}", log.display()),
+                &format!(
+                    "there are no samples of member {member}: an ensemble keeps those of member 0 and of its `in_full`"
+                ),
             ));
         }
         Ok((json(py, &inspection)?, arrays(py, columns)?, ending.damage))

@@ -375,7 +375,15 @@ fn refused(choice: &TableauChoice, error: &TableauError) -> ScenarioError {
         (_, TableauError::ZeroWeight { stage, .. }) => format!("/method/tableau/b/{stage}"),
         (_, TableauError::Inconsistent { .. }) => "/method/tableau/b".to_owned(),
     };
-    ScenarioError::invalid(pointer, error.to_string())
+    let message = match (choice, error) {
+        (TableauChoice::Named(_), TableauError::ZeroWeight { .. }) => {
+            "has weights that are zero, and the momenta of the stages are divided by them: it is for explicit methods (rk, \
+             rk_projected, rkmk); this one takes gauss1 to gauss8, rk3, rk4 or coefficients"
+                .to_owned()
+        }
+        _ => error.to_string(),
+    };
+    ScenarioError::invalid(pointer, message)
 }
 
 pub(super) fn with_matrix(term: &PotentialTerm, inertia: &DMatrix<f64>) -> PotentialTerm {
