@@ -48,6 +48,19 @@ fn a_slew_ends_where_it_points() {
     assert!(stopped.ends_with("(/until/0)") && summary.time_s < 590.0, "{stopped}");
     let drift = summary.momentum.expect("logged").max_drift;
     assert!(drift < 1e-15, "{drift:e}");
+    // The summary has what the log has.
+    let (mut saturated, mut last_error) = (0, None);
+    read_samples(&log, |_, message| {
+        if let Message::Control(seen) = message {
+            saturated += u64::from(seen.saturated);
+            last_error = seen.pointing_error_rad;
+        }
+    })
+    .expect("a log");
+    let control = summary.control.expect("logged");
+    assert!(saturated > 0 && last_error.is_some_and(|error| error < 1e-3), "{saturated}");
+    let told = (control.samples, control.saturated, control.pointing_error_rad);
+    assert_eq!(told, (summary.samples, saturated, last_error));
     let seen = inspect(&log).expect("readable");
     let control = seen.topics.iter().find(|entry| entry.topic == "/control");
     assert_eq!(control.expect("logged").messages, summary.samples);
@@ -853,5 +866,32 @@ fn angular_velocities_are_those_of_the_moment() {
         for (member, run) in last.angular_velocity.iter().zip(&seen[200].1) {
             assert!((member - run).abs() < 1e-12, "{member} for {run}");
         }
+    }
+}
+
+/// A run of many samples is planned, also where a step holds many; its estimate counts each sample once. Orbits that contradict each
+/// other are warned of.
+#[test]
+fn long_runs_under_control_are_planned() {
+    let mut slew = shipped("slew");
+    slew.as_object_mut().expect("an object").remove("until");
+    for step_s in [0.1, 20.0] {
+        slew["step_s"] = json!(step_s);
+        slew["duration_s"] = json!(12_000);
+        let plan = advise::plan(&accepted(&slew)).expect("120,000 samples of the control");
+        let steps_s = 1e-9 * plan.step_ns * plan.steps as f64;
+        assert!(plan.run_s < 2.0 * steps_s + 2.0, "{step_s}: {} of {steps_s}", plan.run_s);
+    }
+    let orbit = |mean_motion: f64| json!({ "from": [0, 0, 1], "towards": [0, -1, 0], "mean_motion_rad_s": mean_motion });
+    slew["scene"]["driven"] = json!([{
+        "term": { "kind": "gravity_gradient", "direction": [0, 0, 1] },
+        "path": { "orbit": { "towards": [0, -1, 0], "mean_motion_rad_s": 1.1e-3 } },
+    }]);
+    for (mean_motion, warned) in [(1.1e-3, false), (1.105e-3, false), (6.3e-2, true)] {
+        slew["scene"]["control"]["target"] = json!({ "orbit": orbit(mean_motion) });
+        let plan = advise::plan(&accepted(&slew)).expect("a plan");
+        let found =
+            plan.warnings.iter().any(|warning| warning.contains("one body is on one orbit"));
+        assert_eq!(found, warned, "{mean_motion}: {:?}", plan.warnings);
     }
 }
