@@ -297,8 +297,12 @@ pub(crate) enum Measure {
     Largest(Quantity),
     /// The smallest value.
     Smallest(Quantity),
+    /// The value at the last sample.
+    Last(Quantity),
     /// The time of the first sample at which a condition holds, in seconds; empty if there is none.
     FirstTime(Condition),
+    /// The time of the first sample from which on a condition holds at all others, in seconds; empty if it does not at the last.
+    SettledTime(Condition),
     /// The largest Lyapunov exponent over the time of the run, in 1/s: the mean rate at which a shadow trajectory leaves
     /// the run, brought back to its distance at each sample (Benettin, Galgani, Giorgilli, Strelcyn 1980). Empty if a run
     /// fails, or the shadow gets too far between two samples.
@@ -396,12 +400,28 @@ impl Quantity {
     }
 }
 
+impl Condition {
+    fn check(&self, at: String, n: usize) -> Result<(), ScenarioError> {
+        self.of.check(&format!("{at}/of"), n)?;
+        ensure(self.above.is_some() != self.below.is_some(), at, || {
+            "needs one of `above` and `below`".into()
+        })
+    }
+
+    /// Does it hold for a value?
+    pub(super) fn holds(&self, x: f64) -> bool {
+        self.above.is_some_and(|limit| x > limit) || self.below.is_some_and(|limit| x < limit)
+    }
+}
+
 impl Measure {
     /// Returns the quantity that is looked at, if it is one.
     pub(super) fn quantity(&self) -> Option<&Quantity> {
         match self {
-            Self::Largest(quantity) | Self::Smallest(quantity) => Some(quantity),
-            Self::FirstTime(condition) => Some(&condition.of),
+            Self::Largest(quantity) | Self::Smallest(quantity) | Self::Last(quantity) => {
+                Some(quantity)
+            }
+            Self::FirstTime(condition) | Self::SettledTime(condition) => Some(&condition.of),
             Self::LyapunovExponent(_) => None,
         }
     }
@@ -411,7 +431,9 @@ impl Measure {
         match self {
             Self::Largest(_) => "/largest",
             Self::Smallest(_) => "/smallest",
+            Self::Last(_) => "/last",
             Self::FirstTime(_) => "/first_time/of",
+            Self::SettledTime(_) => "/settled_time/of",
             Self::LyapunovExponent(_) => "/lyapunov_exponent",
         }
     }
@@ -425,13 +447,9 @@ impl Measure {
         match self {
             Self::Largest(quantity) => quantity.check(&format!("{at}/largest"), n),
             Self::Smallest(quantity) => quantity.check(&format!("{at}/smallest"), n),
-            Self::FirstTime(Condition { of, above, below }) => {
-                let at = format!("{at}/first_time");
-                of.check(&format!("{at}/of"), n)?;
-                ensure(above.is_some() != below.is_some(), at, || {
-                    "needs one of `above` and `below`".into()
-                })
-            }
+            Self::Last(quantity) => quantity.check(&format!("{at}/last"), n),
+            Self::FirstTime(condition) => condition.check(format!("{at}/first_time"), n),
+            Self::SettledTime(condition) => condition.check(format!("{at}/settled_time"), n),
             Self::LyapunovExponent(Lyapunov { distance, skip_s }) => {
                 let at = format!("{at}/lyapunov_exponent");
                 ensure((1e-12..=1e-4).contains(distance), format!("{at}/distance"), || {

@@ -79,8 +79,11 @@ impl<'a, const N: usize> BodiesTally<'a, N> {
 pub(super) enum Kept<'a> {
     Largest(Option<f64>),
     Smallest(Option<f64>),
+    Last(Option<f64>),
     /// The first time in s at which a condition held.
     FirstTime(&'a Condition, Option<f64>),
+    /// The time in s since which a condition has held.
+    SettledTime(&'a Condition, Option<f64>),
 }
 
 impl<'a> Kept<'a> {
@@ -89,7 +92,9 @@ impl<'a> Kept<'a> {
         let kept = match measure {
             Measure::Largest(_) => Self::Largest(None),
             Measure::Smallest(_) => Self::Smallest(None),
+            Measure::Last(_) => Self::Last(None),
             Measure::FirstTime(condition) => Self::FirstTime(condition, None),
+            Measure::SettledTime(condition) => Self::SettledTime(condition, None),
             Measure::LyapunovExponent(_) => return None,
         };
         Some((measure.quantity()?, kept))
@@ -104,20 +109,26 @@ impl<'a> Kept<'a> {
         match self {
             Self::Largest(old) => kept(old, value(), f64::max),
             Self::Smallest(old) => kept(old, value(), f64::min),
-            Self::FirstTime(Condition { above, below, .. }, first_s) => {
-                let beyond = |x: f64| {
-                    above.is_some_and(|limit| x > limit) || below.is_some_and(|limit| x < limit)
-                };
-                if first_s.is_none() && value().is_some_and(beyond) {
+            Self::Last(last) => *last = value(),
+            Self::FirstTime(condition, first_s) => {
+                if first_s.is_none() && value().is_some_and(|x| condition.holds(x)) {
                     *first_s = Some(time_s);
                 }
+            }
+            Self::SettledTime(condition, since_s) => {
+                let holds = value().is_some_and(|x| condition.holds(x));
+                *since_s = holds.then(|| since_s.unwrap_or(time_s));
             }
         }
     }
 
     fn value(&self) -> Option<f64> {
         match self {
-            Self::Largest(value) | Self::Smallest(value) | Self::FirstTime(_, value) => *value,
+            Self::Largest(value)
+            | Self::Smallest(value)
+            | Self::Last(value)
+            | Self::FirstTime(_, value)
+            | Self::SettledTime(_, value) => *value,
         }
     }
 }

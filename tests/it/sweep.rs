@@ -641,7 +641,10 @@ fn scores_are_those_of_known_motions() {
             { "name": "smallest", "measure": { "smallest": { "tilt": { "body_axis": [0, 0, -1], "space_axis": [0, 0, 1] } } } },
             { "name": "first", "measure": { "first_time": { "of": { "tilt": { "body_axis": [0, 0, 1], "space_axis": [0, 0, 1] } }, "above": 1.01 } } },
             { "name": "slow", "measure": { "first_time": { "of": "angular_speed", "below": 0.1 } } },
-            { "name": "energy", "measure": { "largest": "kinetic_energy" } }
+            { "name": "energy", "measure": { "largest": "kinetic_energy" } },
+            { "name": "last", "measure": { "last": { "tilt": { "body_axis": [0, 0, -1], "space_axis": [0, 0, 1] } } } },
+            { "name": "settled", "measure": { "settled_time": { "of": { "tilt": { "body_axis": [0, 0, 1], "space_axis": [0, 0, 1] } }, "above": 0.303 } } },
+            { "name": "unsettled", "measure": { "settled_time": { "of": "axis_error", "below": 0.405 } } }
         ]
     });
     write(at, "turn.json", &sweep);
@@ -660,6 +663,12 @@ fn scores_are_those_of_known_motions() {
     near(0, "off", 3.3);
     near(1, "largest", 0.5);
     near(1, "slow", 0.0);
+    near(0, "last", std::f64::consts::PI - 2.5);
+    // 0.25 t > 0.303 from t = 1.212 on, 0.05 t from t = 6.06 on, both to the end.
+    near(0, "settled", 1.3);
+    near(1, "settled", 6.1);
+    // Relative to the frame 0.125 t passes 0.405, and 0.075 t does.
+    assert!(lines[0]["unsettled"].is_empty() && lines[1]["unsettled"].is_empty());
     assert!(lines[0]["slow"].is_empty() && lines[1]["first"].is_empty());
 }
 

@@ -15,7 +15,8 @@ pub struct Lyapunov {
     /// The exponents, the largest first: 2d.
     pub exponents: Vec<f64>,
     /// The standard error of each, from the spread of parts of the run. It is that of a chaotic motion, whose parts are
-    /// independent; where exponents are zero, those of a finite run fall like the logarithm of its length over the length.
+    /// independent; where exponents are zero, those of a finite run fall like the logarithm of its length over the length. At least
+    /// a rounding a step.
     pub errors: Vec<f64>,
     /// Their sum: zero but for rounding, as the steps are symplectic.
     pub sum: f64,
@@ -77,7 +78,8 @@ impl<const N: usize> Tangent<N> {
                 let mean = parts.iter().map(|rates| rates[i]).sum::<f64>() / count;
                 let square = |rates: &Vec<f64>| (rates[i] - mean) * (rates[i] - mean);
                 let variance = parts.iter().map(square).sum::<f64>() / (count - 1.0).max(1.0);
-                [mean, (variance / count).sqrt()]
+                // A rounding of each step may have one sign.
+                [mean, (variance / count).sqrt().max(f64::EPSILON / h.abs())]
             })
             .collect();
         found.sort_by(|a, b| b[0].total_cmp(&a[0]));
