@@ -31,7 +31,6 @@ pub use bodies::{
 };
 pub(crate) use change::set;
 pub(crate) use check::dividing;
-#[cfg(feature = "serve")]
 pub(crate) use check::twelve_digits;
 pub use control::{
     AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, DistanceLimit, Field, Law,

@@ -192,6 +192,7 @@ impl Entry {
 }
 
 /// Numbers the entries whose tableaux have coefficients of their own, where there are several.
+#[cfg(feature = "chart")]
 pub(crate) fn tell_apart(entries: &mut [Entry]) {
     let given = entries.iter_mut().filter(|entry| entry.tableau == "given");
     let given: Vec<_> = given.collect();
