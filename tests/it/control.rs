@@ -882,6 +882,21 @@ fn long_runs_under_control_are_planned() {
         let steps_s = 1e-9 * plan.step_ns * plan.steps as f64;
         assert!(plan.run_s < 2.0 * steps_s + 2.0, "{step_s}: {} of {steps_s}", plan.run_s);
     }
+    // Steps end at the samples: a step that holds 200 is these, and ends at the last of them.
+    slew["duration_s"] = json!(100);
+    let place = tempfile::tempdir().expect("a directory");
+    let ends = [0.1, 5.0, 20.0, 50.0].map(|step_s| {
+        slew["step_s"] = json!(step_s);
+        let log = place.path().join(format!("{step_s}.mcap"));
+        let summary = run(&slew, &log, &Control::default()).expect("a log");
+        assert_eq!(summary.control.expect("logged").samples, summary.steps + 1, "{step_s}");
+        let last = &summary.last.body_momentum;
+        [0, 1, 2].map(|axis| last[axis].as_f64().expect("a number"))
+    });
+    for end in &ends[1..] {
+        let apart = (0..3).map(|axis| (end[axis] - ends[0][axis]).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-15, "{ends:?}");
+    }
     let orbit = |mean_motion: f64| json!({ "from": [0, 0, 1], "towards": [0, -1, 0], "mean_motion_rad_s": mean_motion });
     slew["scene"]["driven"] = json!([{
         "term": { "kind": "gravity_gradient", "direction": [0, 0, 1] },

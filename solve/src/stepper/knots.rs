@@ -85,12 +85,13 @@ impl Knots {
     ) -> Result<Convergence, Failure> {
         let ends_s = begun_s + h;
         let last_s = ends_s - rounding_s(ends_s);
-        let (mut time_s, mut left) = (begun_s, h);
+        let mut time_s = begun_s;
         let mut solved: Option<Convergence> = None;
         loop {
             let knot_s = self.after(system, time_s);
             let is_last = knot_s >= last_s;
-            let part = if is_last { left } else { knot_s - time_s };
+            // Not what is left after one part and the next: the roundings of many would add up.
+            let part = if is_last { h - (time_s - begun_s) } else { knot_s - time_s };
             stepper.set_time(time_s);
             let convergence = stepper.step(system, part)?;
             solved = Some(solved.map_or(convergence, |before| both(before, convergence)));
@@ -104,7 +105,7 @@ impl Knots {
             if let (true, Some(solved)) = (is_last, solved) {
                 return Ok(solved);
             }
-            (time_s, left) = (knot_s, left - part);
+            time_s = knot_s;
         }
     }
 }
