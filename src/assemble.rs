@@ -12,6 +12,7 @@ use crate::solve::bodies::explicit::{Attitudes, BodiesRk};
 use crate::solve::bodies::splitting::BodiesSplitting;
 use crate::solve::bodies::trajectory::BodiesStepper;
 use crate::solve::bodies::vpd::BodiesVpd;
+use crate::solve::bodies::vpd_adaptive::BodiesVpdAdaptive;
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::ensemble::{Members, Sequential};
 use crate::solve::hamiltonian::RigidBody;
@@ -232,6 +233,12 @@ fn coupled_stepper<const N: usize>(
         Integrator::Splitting => {
             let (bodies, initial) = in_three(bodies, initial)?;
             of_three(Box::new(BodiesSplitting::new(plan.formulation.order, bodies, initial)?))
+        }
+        Integrator::VpdAdaptive => {
+            let own = plan.own_steps.as_ref()?;
+            let scale = own.scale_of_bodies();
+            let stepper = BodiesVpdAdaptive::new(tableau, plan.model.stop, scale, initial);
+            Some(Box::new(stepper.with_steps_of(own.largest_step_s)))
         }
         _ => Some(Box::new(BodiesVpd::new(tableau.clone(), plan.model.stop, initial))),
     }

@@ -474,8 +474,14 @@ impl Plan {
             ..asked.clone()
         };
         let whole = Self::new(&with(1.0))?;
-        let near_m = whole.own_steps.as_ref().map_or(&[][..], |own| own.near_m.as_slice());
-        let easy_s = whole.model.easy_own_step_s(near_m, whole.formulation.stages);
+        let stages = whole.formulation.stages;
+        let easy_s = match asked.bodies() {
+            Some(scene) => bodies::easy_own_step_s(asked, scene, stages)?,
+            None => {
+                let near_m = whole.own_steps.as_ref().map_or(&[][..], |own| own.near_m.as_slice());
+                whole.model.easy_own_step_s(near_m, stages)
+            }
+        };
         let multiple = asked.multiple_of_steps() as f64;
         let settled = with(multiple * (duration_s / easy_s / multiple).ceil().max(1.0));
         settled.check()?;

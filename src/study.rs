@@ -18,7 +18,9 @@ use thiserror::Error;
 use crate::in_order::{Turns, cores, in_order};
 use crate::method::{Integrator, Variant};
 use crate::plan::{NEAR_SIGMA, Plan};
-use crate::scenario::{Method, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName};
+use crate::scenario::{
+    Method, MethodName, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName,
+};
 
 pub mod long_term;
 pub mod lyapunov;
@@ -239,7 +241,10 @@ fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entr
     let three = scene.dimension() == 3;
     let fits = |method: &Method| {
         let needs_three = method.name.integrator().is_some_and(|named| named.facts().three);
-        let taken = scene.bodies().is_none_or(|bodies| bodies.take(method).is_ok());
+        // Steps that adapt are for a scene whose bodies come close, which nothing here looks for.
+        let taken = scene.bodies().is_none_or(|bodies| {
+            method.name != MethodName::VpdAdaptive && bodies.take(method).is_ok()
+        });
         (three || !needs_three) && taken
     };
     methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()

@@ -35,15 +35,18 @@ pub mod explicit;
 pub mod splitting;
 pub mod trajectory;
 pub mod vpd;
+pub mod vpd_adaptive;
 
 mod block;
 mod coefficients;
 mod forces;
 mod motion;
+mod rescaled;
 mod stop;
 
 use forces::{Configuration, Forces};
 pub use motion::{BodiesState, Change, Start};
+pub use rescaled::BodiesTimeScale;
 pub use stop::{BodiesCondition, BodiesStop, distance};
 
 /// Distance of two points between which a force without a limit acts, in metres, below which it means nothing.

@@ -50,7 +50,7 @@ pub struct Pace {
 
 impl Pace {
     /// Is every number of it finite?
-    pub(super) fn is_finite(&self) -> bool {
+    pub(crate) fn is_finite(&self) -> bool {
         [self.sigma, self.step_s, self.least_sigma, self.time_error_s]
             .into_iter()
             .all(f64::is_finite)

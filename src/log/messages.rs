@@ -280,6 +280,7 @@ impl Message {
                 })
             }
             Channel::Solver => Some(Self::Solver(sample.convergence?.into())),
+            Channel::Pace => Some(Self::Pace(sample.pace?.into())),
             _ => None,
         }
     }
@@ -421,8 +422,14 @@ impl From<Convergence> for Solver {
 impl Pace {
     /// Returns the rate of time up to a sample, for adaptive steps.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
-        let state::Pace { sigma, step_s, steps, least_sigma, time_error_s } = sample.pace?;
-        Some(Self { sigma, step_s, own_steps: steps, least_sigma, time_error_s })
+        sample.pace.map(Into::into)
+    }
+}
+
+impl From<state::Pace> for Pace {
+    fn from(pace: state::Pace) -> Self {
+        let state::Pace { sigma, step_s, steps, least_sigma, time_error_s } = pace;
+        Self { sigma, step_s, own_steps: steps, least_sigma, time_error_s }
     }
 }
 
@@ -524,6 +531,7 @@ impl Checkpoint {
                 time_s: own.time_s,
                 carry_s: own.carry_s,
                 steps: own.steps,
+                numbers: Vec::new(),
             }),
             control: checkpoint.control.as_ref().map(Into::into),
             held: checkpoint.holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
@@ -534,8 +542,15 @@ impl Checkpoint {
 
     /// Returns the place of a trajectory of several bodies, and the figures of its samples so far.
     pub fn of_bodies(checkpoint: &bodies::Checkpoint, figures: Figures) -> Self {
-        let bodies::Checkpoint { step, samples, iterations, convergence, numbers, holds_since_s } =
-            checkpoint;
+        let bodies::Checkpoint {
+            step,
+            samples,
+            iterations,
+            convergence,
+            numbers,
+            holds_since_s,
+            own_time,
+        } = checkpoint;
         Self {
             step: *step,
             samples: *samples,
@@ -544,6 +559,13 @@ impl Checkpoint {
             figures: Some(figures),
             numbers: numbers.clone(),
             held: holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
+            own_time: own_time.as_ref().map(|own| OwnTime {
+                time_s: own.time_s,
+                carry_s: own.carry_s,
+                steps: own.steps,
+                numbers: own.numbers.clone(),
+                ..OwnTime::default()
+            }),
             ..Self::default()
         }
     }
@@ -563,6 +585,12 @@ impl Checkpoint {
             convergence: self.solver.as_ref().and_then(Solver::convergence),
             numbers: self.numbers.clone(),
             holds_since_s: self.held.iter().map(|held| held.since_s).collect(),
+            own_time: self.own_time.as_ref().map(|own| bodies::OwnTime {
+                numbers: own.numbers.clone(),
+                time_s: own.time_s,
+                carry_s: own.carry_s,
+                steps: own.steps,
+            }),
         })
     }
 

@@ -5,7 +5,8 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{Model, ModelKinetic};
-use crate::scenario::{Adaptive, Mobility, PointSource, PotentialTerm};
+use crate::scenario::{Adaptive, Interaction, Mobility, PointSource, PotentialTerm};
+use crate::solve::bodies::{Bodies, BodiesState, BodiesTimeScale};
 use crate::solve::hamiltonian::TimeScale;
 
 /// Steps in a time of their own.
@@ -14,7 +15,7 @@ pub struct OwnSteps {
     /// The longest, in seconds: that far from all point sources.
     pub largest_step_s: f64,
     /// Distance in metres below which steps shorten, for each modelled term; 0 for one that is no
-    /// point source.
+    /// point source, nor mutual gravity.
     pub near_m: Vec<f64>,
 }
 
@@ -49,11 +50,41 @@ impl OwnSteps {
         }
     }
 
+    /// Returns the adaptive steps of several bodies under `terms`, which begin at `initial`.
+    pub(super) fn of_bodies<const N: usize>(
+        asked: &Adaptive,
+        step_s: f64,
+        terms: &[Interaction],
+        bodies: &Bodies<N>,
+        initial: &BodiesState<N>,
+    ) -> Self {
+        let own = BodiesTimeScale::of(bodies, initial);
+        let mut given = asked.near_m.iter();
+        let near = |(term, own): (&Interaction, &f64)| match asked.near_m.as_slice() {
+            _ if !term.is_close() => 0.0,
+            [] => *own,
+            [all] => *all,
+            _ => *given.next().unwrap_or(own),
+        };
+        Self {
+            largest_step_s: asked.largest_step_s.unwrap_or(step_s),
+            near_m: terms.iter().zip(own.near_m()).map(near).collect(),
+        }
+    }
+
     /// Returns the rate of their time.
     pub(crate) fn scale(&self) -> TimeScale {
         TimeScale::new(self.near_m.clone())
     }
+
+    /// Returns the same of several bodies.
+    pub(crate) fn scale_of_bodies(&self) -> BodiesTimeScale {
+        BodiesTimeScale::new(self.near_m.clone())
+    }
 }
+
+/// Turn in a stage of an easy step.
+pub(super) const RAD_A_STAGE: f64 = 0.1;
 
 impl Model {
     /// Returns a step in seconds that a tableau of `stages` stages takes easily in a time of its
@@ -61,7 +92,6 @@ impl Model {
     /// d^3))`, and sigma takes the last of it away. What is left is about the sum of the squares
     /// with near in the place of d, of those of the other terms, and of the start.
     pub(super) fn easy_own_step_s(&self, near_m: &[f64], stages: usize) -> f64 {
-        const RAD_A_STAGE: f64 = 0.1;
         let mobility = |y: &[f64]| match &self.kinetic {
             ModelKinetic::Principal { weights } => (0..y.len())
                 .flat_map(|i| (0..i).map(move |j| (i, j)))

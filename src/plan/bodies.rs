@@ -4,9 +4,12 @@ use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::adaptive::RAD_A_STAGE;
 use super::model::{inertia_matrix, rungs, tableau, tableau_choice};
 use super::rotation::{attitude, rows, skew};
-use super::{ChannelPlan, Counts, FirstSteps, Formulation, Model, Plan, TermPlan, channels};
+use super::{
+    ChannelPlan, Counts, FirstSteps, Formulation, Model, OwnSteps, Plan, TermPlan, channels,
+};
 use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
@@ -107,6 +110,50 @@ pub(crate) fn system<const N: usize>(
     }
     let stops = stops(scenario, scene, &state)?;
     Ok((system.with_stops(stops), state))
+}
+
+/// Steps that adapt, and about how fast everything changes in their time, in rad/s.
+type Adapting = Option<(OwnSteps, f64)>;
+
+/// Returns the steps of bodies that adapt, if they do.
+///
+/// # Errors
+/// Those of [`system`].
+fn own_steps(scenario: &Scenario, scene: &Bodies, step_s: f64) -> Result<Adapting, ScenarioError> {
+    fn of<const N: usize>(
+        scenario: &Scenario,
+        scene: &Bodies,
+        step_s: f64,
+    ) -> Result<Adapting, ScenarioError> {
+        let (bodies, initial) = system::<N>(scenario, scene)?;
+        Ok(scenario.adaptive().map(|asked| {
+            let own = OwnSteps::of_bodies(&asked, step_s, &scene.potential, &bodies, &initial);
+            let rate = own.scale_of_bodies().rate(&bodies, &initial);
+            (own, rate)
+        }))
+    }
+    match scenario.dimension() {
+        2 => of::<2>(scenario, scene, step_s),
+        3 => of::<3>(scenario, scene, step_s),
+        4 => of::<4>(scenario, scene, step_s),
+        5 => of::<5>(scenario, scene, step_s),
+        6 => of::<6>(scenario, scene, step_s),
+        7 => of::<7>(scenario, scene, step_s),
+        _ => of::<8>(scenario, scene, step_s),
+    }
+}
+
+/// Returns a step in seconds that a tableau of `stages` stages takes easily in the time of steps that adapt.
+///
+/// # Errors
+/// Those of [`system`].
+pub(super) fn easy_own_step_s(
+    scenario: &Scenario,
+    scene: &Bodies,
+    stages: usize,
+) -> Result<f64, ScenarioError> {
+    let rate = own_steps(scenario, scene, 1.0)?.map_or(0.0, |(_, rate)| rate);
+    Ok(RAD_A_STAGE * stages as f64 / rate)
 }
 
 /// Returns the conditions that end a run of bodies that begin at `initial`.
@@ -273,20 +320,14 @@ impl Plan {
         step_s: f64,
     ) -> Result<Self, ScenarioError> {
         let n = scenario.dimension();
-        let mut exact = Vec::new();
-        match n {
-            2 => system::<2>(scenario, scene).map(drop),
-            3 => system::<3>(scenario, scene).map(|(bodies, initial)| {
-                if scenario.method.name.integrator().is_none() {
-                    exact = BodiesApart::exact(&bodies, &initial, step_s);
-                }
-            }),
-            4 => system::<4>(scenario, scene).map(drop),
-            5 => system::<5>(scenario, scene).map(drop),
-            6 => system::<6>(scenario, scene).map(drop),
-            7 => system::<7>(scenario, scene).map(drop),
-            _ => system::<8>(scenario, scene).map(drop),
-        }?;
+        let own = own_steps(scenario, scene, step_s)?;
+        let chosen = own.is_none() && scenario.method.name.integrator().is_none();
+        let exact = if n == 3 && chosen {
+            let (bodies, initial) = system::<3>(scenario, scene)?;
+            BodiesApart::exact(&bodies, &initial, step_s)
+        } else {
+            Vec::new()
+        };
         let choice = tableau_choice(&scenario.method);
         let tableau = tableau(&choice, &scenario.method)?;
         let Solver { kind, tolerance, max_iterations } = scenario.method.solver;
@@ -294,6 +335,7 @@ impl Plan {
             StopRule { tolerance, max_iterations, rungs: rungs(kind), ..StopRule::default() };
         let mut plan = Self::begun(scenario, step_s, Model::of_none(n, tableau, stop));
         plan.channels = channels(scenario);
+        plan.own_steps = own.map(|(own_steps, _)| own_steps);
         plan.formulation = formulation(scenario, &plan);
         for (index, term) in scene.potential.iter().enumerate() {
             let why = match term {
@@ -367,7 +409,7 @@ impl Plan {
             + scene.potential.len() as f64 * TERM_NS
             + jointed * jointed * JOINT_NS * size;
         let stages = self.formulation.stages as f64;
-        if self.formulation.method == Integrator::Vpd {
+        if matches!(self.formulation.method, Integrator::Vpd | Integrator::VpdAdaptive) {
             (work.sweeps + work.steps) * stages * of_stage
         } else {
             ONCE * work.sweeps * stages * of_stage
@@ -393,7 +435,10 @@ fn conserved(scenario: &Scenario, scene: &Bodies) -> usize {
 
 /// Chooses the integrator.
 fn formulation(scenario: &Scenario, plan: &Plan) -> Formulation {
-    let asked = scenario.method.name.integrator();
+    let asked = match &plan.own_steps {
+        Some(_) => Some(Integrator::VpdAdaptive),
+        None => scenario.method.name.integrator(),
+    };
     let method = asked.unwrap_or(Integrator::Vpd);
     let tableau = &plan.model.tableau;
     let (name, stages, order) = if method.is_composition() {

@@ -197,7 +197,7 @@ impl<const N: usize> Sink<N> for Several<'_> {
 }
 
 /// Returns a smaller step that was tried from the start past the time at which a step failed: halved until one works, and then
-/// longer again as far as it still does.
+/// longer again as far as it still does. Of steps that adapt it is the longest.
 pub(super) fn advised<const N: usize>(
     bodies: &Bodies<N>,
     stepper: &mut dyn BodiesStepper<N>,
@@ -210,29 +210,45 @@ pub(super) fn advised<const N: usize>(
     let failed_s = way.step_s * (reached.step as f64 + 2.0);
     let time_s = failed_s.min(way.step_s * way.steps as f64);
     let is_whole = failed_s >= way.step_s * way.steps as f64;
+    let longest_s = stepper.own_step_s().map(|longest| *longest);
     let short = |step_s: f64| {
+        if longest_s.is_some() {
+            return two_digits(step_s);
+        }
         let few = (0..20).map(|percent| two_digits(step_s * (1.0 - 0.01 * f64::from(percent))));
         let part = way.step_s / (way.step_s / step_s).ceil();
         few.into_iter().find(|&less| asked.fits(less)).unwrap_or(part)
     };
     let mut went = |step_s: f64| -> Result<(), Failure> {
+        let of_loop_s = longest_s.map_or(step_s, |_| way.step_s);
+        if let Some(longest) = stepper.own_step_s() {
+            *longest = step_s;
+        }
         stepper.start(way.initial);
-        for _ in 0..(time_s / step_s).ceil() as u64 {
-            stepper.step(bodies, step_s)?;
+        for _ in 0..(time_s / of_loop_s).ceil() as u64 {
+            stepper.step(bodies, of_loop_s)?;
+            stepper.synchronise(bodies, of_loop_s)?;
         }
         Ok(())
     };
     let tried = if is_whole { Tried::Throughout } else { Tried::For { time_s } };
-    let (mut failed, mut step_s) = (way.step_s, short(0.5 * way.step_s));
-    loop {
+    let begun_s = longest_s.unwrap_or(way.step_s);
+    let (mut failed, mut step_s) = (begun_s, short(0.5 * begun_s));
+    let none = loop {
         if step_s < SMALLEST_STEP_S {
-            return Advised::NoneWorks;
+            break Some(Advised::NoneWorks);
         }
         match went(step_s) {
-            Ok(()) => break,
-            Err(_) if bodies.work().is_spent() => return Advised::NotFound { tried_s: failed },
+            Ok(()) => break None,
+            Err(_) if bodies.work().is_spent() => {
+                break Some(Advised::NotFound { tried_s: failed });
+            }
             Err(_) => (failed, step_s) = (step_s, short(0.5 * step_s)),
         }
+    };
+    if let Some(none) = none {
+        restore(stepper, longest_s);
+        return none;
     }
     while failed > NEAR * step_s {
         let between = short((failed * step_s).sqrt());
@@ -245,7 +261,16 @@ pub(super) fn advised<const N: usize>(
             Err(_) => failed = between,
         }
     }
-    Advised::Step { step_s, tried }
+    restore(stepper, longest_s);
+    let advised = Advised::Step { step_s, tried };
+    if longest_s.is_some() { advised.of_own_steps() } else { advised }
+}
+
+/// Sets the longest step of steps that adapt back.
+fn restore<const N: usize>(stepper: &mut dyn BodiesStepper<N>, longest_s: Option<f64>) {
+    if let (Some(own), Some(longest_s)) = (stepper.own_step_s(), longest_s) {
+        *own = longest_s;
+    }
 }
 
 impl Patience {

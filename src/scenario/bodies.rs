@@ -15,7 +15,7 @@ use super::range::{
 };
 use super::{
     Attitude, DistanceLimit, Framed, Inertia, Initial, Method, MethodName, PotentialTerm, Scenario,
-    ScenarioError, Scene, SolverKind, Steps, Stop,
+    ScenarioError, Scene, SolverKind, Stop,
 };
 use crate::log::schema::BodyName;
 use crate::method::Integrator;
@@ -225,6 +225,16 @@ pub(super) fn scene_schema(generator: &mut SchemaGenerator) -> Schema {
     })
 }
 
+impl Interaction {
+    /// Returns whether steps can adapt to it: it is a point source, or mutual gravity.
+    pub(crate) fn is_close(&self) -> bool {
+        match self {
+            Self::On { term, .. } => term.as_point_source().is_some(),
+            Self::Between { law, .. } => !matches!(law, PairLaw::Spring(_)),
+        }
+    }
+}
+
 impl JsonSchema for Interaction {
     fn schema_name() -> std::borrow::Cow<'static, str> {
         "Interaction".into()
@@ -273,8 +283,6 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(field.is_some(), "/scene/field", only_one)?;
     absent(scenario.pointing.is_some(), "/pointing", only_one)?;
     absent(scenario.derivatives.is_some(), "/derivatives", only_one)?;
-    let adaptive = matches!(scenario.step, Some(Steps::Adaptive(_)));
-    absent(adaptive, "/step/adaptive", only_one)?;
     let expected = scenario.expect.as_ref().is_some_and(|expect| expect.final_attitude.is_some());
     absent(expected, "/expect/final_attitude", only_one)?;
     bodies.take(&scenario.method)?;
@@ -282,8 +290,13 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
 }
 
 /// The methods of several bodies.
-const METHODS: [Integrator; 4] =
-    [Integrator::Vpd, Integrator::RkProjected, Integrator::Rkmk, Integrator::Splitting];
+const METHODS: [Integrator; 5] = [
+    Integrator::Vpd,
+    Integrator::VpdAdaptive,
+    Integrator::RkProjected,
+    Integrator::Rkmk,
+    Integrator::Splitting,
+];
 
 impl Bodies {
     /// Checks that a method can run the bodies.

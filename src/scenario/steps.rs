@@ -10,7 +10,8 @@ use super::{MethodName, PotentialTerm, Scenario};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Steps {
-    /// Shorter near the point sources of the potential, and symplectic all the same.
+    /// Shorter near the point sources of the potential, of several bodies also where they come close under mutual gravity, and
+    /// symplectic all the same.
     Adaptive(Adaptive),
 }
 
@@ -23,7 +24,9 @@ pub struct Adaptive {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_step_s: Option<f64>,
     /// The distance in metres below which steps shorten: a list of one number for all point sources, or of one for each in
-    /// their order. If absent, for each the distance of its body point from the fixed point.
+    /// their order; of several bodies mutual gravity is one, too. If absent, for each the distance of its body point from the
+    /// fixed point; of several bodies the distance at the start, or half the long axis of the ellipse of two that are bound, if
+    /// that is longer.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub near_m: Vec<f64>,
 }
@@ -46,10 +49,27 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     let is_vpd = matches!(name, MethodName::Auto | MethodName::Vpd | MethodName::VpdAdaptive);
     let at = if scenario.step.is_some() { "/step/adaptive" } else { "/method/name" };
     ensure(is_vpd, at, || format!("is for vpd, not for {}", name.as_str()))?;
-    let potential = &scenario.scene.potential;
-    let sources = potential.iter().filter_map(PotentialTerm::as_point_source).count();
+    let (sources, which) = match scenario.bodies() {
+        Some(bodies) => {
+            let located = scenario.until.iter().position(|stop| stop.exact);
+            ensure(
+                located.is_none(),
+                format!("/until/{}/exact", located.unwrap_or_default()),
+                || {
+                    "steps that adapt cannot end at a time that is located; leave it out, or choose another method".into()
+                },
+            )?;
+            let sources = bodies.potential.iter().filter(|term| term.is_close()).count();
+            (sources, "the point sources and the mutual gravity")
+        }
+        None => {
+            let potential = &scenario.scene.potential;
+            let sources = potential.iter().filter_map(PotentialTerm::as_point_source).count();
+            (sources, "the point sources")
+        }
+    };
     ensure(sources > 0, at, || {
-        "steps adapt to the point sources of `scene.potential`, and there are none".into()
+        format!("steps adapt to {which} of `scene.potential`, and there are none")
     })?;
     let Adaptive { largest_step_s, near_m } = adaptive;
     let (low, high) = (SMALLEST_STEP_S, LARGEST_STEP_S);

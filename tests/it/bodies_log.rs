@@ -19,7 +19,7 @@ use vpd::log::writer::{LogHeader, LogWriter, Outcome};
 use vpd::solve::nonlinear::{Convergence, Rung};
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::system::Energy;
-use vpd_solve::bodies::trajectory::{BodySample, Checkpoint, Sample};
+use vpd_solve::bodies::trajectory::{BodySample, Checkpoint, OwnTime, Sample};
 
 const NAMES: [&str; 2] = ["mast", "primary-2"];
 const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
@@ -86,6 +86,7 @@ fn sample<const N: usize>(k: u64, away_m: f64) -> Sample<N> {
         linear_momentum: Some(vector(9.0)),
         momentum_drift: Some(1e-15),
         convergence: (k > 0).then_some(convergence),
+        pace: None,
     }
 }
 
@@ -97,6 +98,12 @@ fn checkpoint(k: u64) -> Checkpoint {
         convergence: sample::<3>(k, 1.0).convergence,
         numbers: vec![k as f64, -0.0, 1.0 / 3.0],
         holds_since_s: Vec::new(),
+        own_time: Some(OwnTime {
+            numbers: vec![-1.0, 2.0 / 3.0],
+            time_s: k as f64,
+            carry_s: 1e-17,
+            steps: 3 * k,
+        }),
     }
 }
 

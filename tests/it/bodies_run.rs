@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use vpd::advise::{self, Settled};
+use vpd::log::reader::{Message, read_samples};
 use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, Summary, collect, execute};
 use vpd::scenario::Scenario;
@@ -298,7 +299,7 @@ fn the_sweeps_of_several_bodies_are_most_of_a_step() {
 }
 
 /// A probe that falls past a planet: the distance of an orbit is known in closed form.
-fn flyby(until: Value) -> Value {
+pub(crate) fn flyby(until: Value) -> Value {
     json!({
         "name": "flyby",
         "scene": {
@@ -414,4 +415,99 @@ fn a_run_that_waits_for_its_condition_is_resumed() {
     }
     println!("resumed at the steps {resumed:?} of {}", reference.steps);
     assert!(resumed[1] > reference.steps - 5000, "while it holds: {resumed:?}");
+}
+
+/// Steps that adapt, from the scenario to the log: the orbit of `flyby` comes back to its start after a period. Samples keep their times, and
+/// `/pace` shows how the steps shorten.
+#[test]
+fn steps_adapt_to_bodies_that_come_close() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("run.mcap");
+    let mut scenario = flyby(json!([]));
+    // Nearer, and a whole number of steps of a revolution: a = 1 / (2 - v^2), e = 1 - v^2.
+    let speed = 0.2_f64;
+    scenario["scene"]["bodies"][1]["initial"]["velocity"] = json!([0, speed, 0]);
+    let period_s = std::f64::consts::TAU * (1.0 / (2.0 - speed * speed)).powf(1.5);
+    scenario.as_object_mut().expect("an object").remove("duration_s");
+    (scenario["step_s"], scenario["steps"]) = (json!(period_s / 50.0), json!(100));
+    scenario["method"] = json!({ "name": "vpd", "tableau": "gauss8" });
+    scenario["step"] = json!({ "adaptive": { "largest_step_s": period_s / 12.0 } });
+    let planned = plan(&scenario);
+    assert_eq!(planned.formulation.method.as_str(), "vpd_adaptive");
+    // The distance at the start, which is the longest, is above half of the long axis.
+    assert_eq!(planned.own_steps.expect("they adapt").near_m, [1.0]);
+    let summary = run(&scenario, &log);
+    assert_eq!((summary.outcome, summary.samples), (Outcome::Succeeded, 101));
+    let place = &summary.last.bodies["probe"].position;
+    let off = ((place[0] - 1.0).powi(2) + place[1].powi(2) + place[2].powi(2)).sqrt();
+    assert!(off < 1e-9, "{off:e}");
+    let (mut paces, mut times) = (Vec::new(), Vec::new());
+    read_samples(&log, |_, message| match message {
+        Message::Pace(pace) => paces.push(pace),
+        Message::BodyState(state) => times.push(state.time_s),
+        _ => {}
+    })
+    .expect("a good log");
+    // Of each of the two bodies.
+    assert_eq!((paces.len(), times.len()), (101, 202));
+    assert!(times.iter().enumerate().all(|(k, &t)| t == (k / 2) as f64 * (period_s / 50.0)));
+    let least = paces.iter().map(|pace| pace.least_sigma).fold(1.0, f64::min);
+    // At the pericentre, v^2 / (2 - v^2) = 0.0204: sigma is its power 3/2, but for the length of a step.
+    assert!(least > 2.9e-3 && least < 2e-2, "{least:e}");
+    assert!(paces.windows(2).all(|pair| pair[0].own_steps <= pair[1].own_steps));
+    assert!(paces.iter().all(|pace| pace.time_error_s.abs() <= 1e-14));
+    // The method by its name, with a step and a length of its own.
+    scenario.as_object_mut().expect("an object").remove("step");
+    scenario["method"]["name"] = json!("vpd_adaptive");
+    let own = plan(&scenario).own_steps.expect("they adapt");
+    assert_eq!(own.largest_step_s, period_s / 50.0);
+    scenario["step"] = json!({ "adaptive": { "near_m": [0.7] } });
+    assert_eq!(plan(&scenario).own_steps.expect("they adapt").near_m, [0.7]);
+    // From the nearest point, half of the long axis is longer than the distance.
+    let (near, fast) = (speed * speed / (2.0 - speed * speed), (2.0 - speed * speed) / speed);
+    scenario["step"] = json!({ "adaptive": {} });
+    scenario["scene"]["bodies"][1]["initial"]["position"] = json!([near, 0, 0]);
+    scenario["scene"]["bodies"][1]["initial"]["velocity"] = json!([0, fast, 0]);
+    let own = plan(&scenario).own_steps.expect("they adapt");
+    assert!((own.near_m[0] - 1.0 / (2.0 - speed * speed)).abs() < 1e-9, "{own:?}");
+}
+
+#[test]
+fn all_of_the_steps_may_be_left_to_the_program() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut scenario = flyby(json!([{
+        "distance_below_m": { "distance_m": 0.3, "between": ["planet", "probe"] }
+    }]));
+    let fields = scenario.as_object_mut().expect("an object");
+    fields.remove("step_s");
+    fields.remove("method");
+    scenario["step"] = json!({ "adaptive": {} });
+    let planned = plan(&scenario);
+    assert!(planned.step_s > 0.01 && planned.step_s < 1.0, "{}", planned.step_s);
+    let summary = run(&scenario, &folder.path().join("run.mcap"));
+    assert_eq!(summary.outcome, Outcome::Succeeded);
+    assert!(summary.stopped.is_some(), "they come near");
+    let late_s = summary.time_s - falls_to_s(0.3);
+    assert!(late_s >= 0.0 && late_s < planned.step_s, "{late_s}");
+    // Members of an ensemble go on alike.
+    scenario["ensemble"] = json!({ "members": 5, "seed": 2, "position_spread_m": 0.01 });
+    let many = run(&scenario, &folder.path().join("many.mcap"));
+    assert_eq!(many.ensemble.expect("an ensemble").succeeded, 5);
+    assert_eq!(many.last, summary.last);
+}
+
+/// The longest step is what a failed run is told to shorten.
+#[test]
+fn of_several_bodies_the_longest_step_may_be_too_long() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut long = flyby(json!([]));
+    long["method"] = json!({ "name": "vpd", "tableau": "gauss2" });
+    long["step"] = json!({ "adaptive": { "largest_step_s": 30.0 } });
+    let failed = run(&long, &folder.path().join("long.mcap"));
+    let diagnosis = failed.diagnosis.expect("a step that fails");
+    let advised = diagnosis.advised_step_s.expect("a shorter one");
+    assert!(advised < 30.0 && diagnosis.advice.contains("largest_step_s"), "{diagnosis}");
+    long["step"]["adaptive"]["largest_step_s"] = json!(advised);
+    let mended = run(&long, &folder.path().join("mended.mcap"));
+    assert_eq!(mended.outcome, Outcome::Succeeded, "{:?}", mended.diagnosis);
 }

@@ -77,12 +77,14 @@ fn rows() -> Vec<Row> {
         ("/until", json!([{"distance_above_m": {"distance_m": 1, "between": ["primary", "primary"]}}]), "/until/0/distance_above_m/between", "two different bodies"),
         ("/until", json!([{"distance_above_m": {"distance_m": 1, "between": ["primary", "secondry"]}}]), "/until/0/distance_above_m/between/1", "did you mean `secondary`?"),
         ("/until", json!([{"distance_above_m": {"distance_m": 1, "between": ["primary", "space"], "points": [[0, 0], [0, 0, 0]]}}]), "/until/0/distance_above_m/points/0", "n = 3 are needed"),
-        ("/step", json!({"adaptive": {}}), "/step/adaptive", "for scenes of one body"),
+        ("/step", json!({"adaptive": {"near_m": [1, 2, 3]}}), "/step/adaptive/near_m", "1 or 2 (one for each point source)"),
+        ("/step", json!({"adaptive": {"near_m": [1, 0]}}), "/step/adaptive/near_m/1", "a distance must be"),
+        ("/step", json!({"adaptive": {"largest_step_s": 0}}), "/step/adaptive/largest_step_s", "a step must be"),
         ("/expect", json!({"final_attitude": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "final_attitude_error_max": 1}), "/expect/final_attitude", "for scenes of one body"),
         ("/log", json!({"channels": ["/state"]}), "/log/channels/0", "for scenes of one body"),
         ("/log", json!({"channels": ["/bodies/*/state", "/scene/body"]}), "/log/channels/1", "for scenes of one body"),
         ("/log", json!({"channels": ["/pace"]}), "/log/channels/0", "steps that adapt"),
-        ("/method", json!({"name": "vpd_adaptive"}), "/method/name", "auto, vpd, rk_projected, rkmk, splitting"),
+        ("/method", json!({"name": "vpd_lagrangian"}), "/method/name", "auto, vpd, vpd_adaptive, rk_projected, rkmk, splitting"),
         ("/method", json!({"name": "rk"}), "/method/name", "auto, vpd, rk_projected, rkmk, splitting"),
         ("/method", json!({"name": "lgvi"}), "/method/name", "lgvi given"),
         ("/method", json!({"name": "splitting"}), "/method/name", "without joints"),
@@ -218,6 +220,24 @@ pub(crate) fn bad() -> Vec<Bad> {
     four["scene"]["potential"] = json!([]);
     four["method"] = json!({"name": "splitting"});
     bad.push(of(four, "/method/name"));
+    // Nothing to which steps can adapt; another method than VPD; an end that is located within a step.
+    let mut apart = several();
+    apart["scene"]["potential"] = json!([several()["scene"]["potential"][1]]);
+    apart["step"] = json!({"adaptive": {}});
+    bad.push(of(apart.clone(), "/step/adaptive"));
+    apart.as_object_mut().expect("an object").remove("step");
+    apart["method"] = json!({"name": "vpd_adaptive"});
+    bad.push(of(apart, "/method/name"));
+    let mut adapting = several();
+    adapting["step"] = json!({"adaptive": {}});
+    read(&adapting).expect("a scene with two sources");
+    let mut other = adapting.clone();
+    other["method"] = json!({"name": "rkmk", "tableau": "rk4"});
+    bad.push(of(other, "/step/adaptive"));
+    let between = json!(["primary", "secondary"]);
+    adapting["until"] =
+        json!([{"distance_below_m": {"distance_m": 1, "between": between}, "exact": true}]);
+    bad.push(of(adapting, "/until/0/exact"));
     // A term between bodies in a scene of one.
     let mut one = crate::bad_scenarios::dipole();
     one["scene"]["potential"][0]["between"] = json!(["a", "b"]);

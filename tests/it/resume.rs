@@ -223,6 +223,21 @@ fn steps_that_adapt_go_on_to_the_same_bytes() {
     }
 }
 
+/// The same of several bodies, on their way and where a run waits for a condition.
+#[test]
+fn several_bodies_in_steps_that_adapt_go_on_to_the_same_bytes() {
+    for (tableau, largest_step_s) in [("gauss2", 0.02), ("gauss4", 0.1)] {
+        let mut flyby = crate::bodies_run::flyby(json!([]));
+        (flyby["step_s"], flyby["duration_s"]) = (json!(0.005), json!(20));
+        flyby["method"] = json!({ "name": "vpd", "tableau": tableau });
+        flyby["step"] = json!({ "adaptive": { "largest_step_s": largest_step_s } });
+        resume_job(&flyby, &[0.2, 0.6, 0.9]);
+        let between = json!(["planet", "probe"]);
+        flyby["until"] = json!([{ "distance_below_m": { "distance_m": 1e-3, "between": between }, "for_s": 0.1 }]);
+        resume_job(&flyby, &[0.6]);
+    }
+}
+
 #[test]
 fn an_interrupted_run_leaves_what_it_promised() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -43,7 +43,7 @@ impl<const N: usize> Forces<N> {
     }
 
     /// Pushes at a site, at this arm from the centre of its body.
-    fn push(&mut self, site: &Site<N>, arm: &Vector<N>, force: &Vector<N>) {
+    pub(super) fn push(&mut self, site: &Site<N>, arm: &Vector<N>, force: &Vector<N>) {
         if let Site::Body(a, point) = site {
             self.on_centres[*a] += force;
             if point.iter().any(|x| *x != 0.0) {
@@ -75,15 +75,29 @@ impl<const N: usize> Bodies<N> {
         at: Configuration<'_, N>,
         forces: &mut Forces<N>,
     ) -> Result<(), Failure> {
+        self.gathered(at, forces, |centres, forces| self.interact(at, centres, forces))?;
+        for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
+            self.inertial_torques(tree, at, forces);
+        }
+        Ok(())
+    }
+
+    /// Gathers what `interact` pushes, on centres and as torques about them: forces on trees, and torques.
+    pub(super) fn gathered<T>(
+        &self,
+        at: Configuration<'_, N>,
+        forces: &mut Forces<N>,
+        interact: impl FnOnce(&[Vector<N>], &mut Forces<N>) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
         forces.torques.fill(Mat::zeros());
         forces.forces.fill(Vector::zeros());
         forces.on_centres.fill(Vector::zeros());
         forces.sizes.fill(0.0);
         let mut centres = std::mem::take(&mut forces.centres);
         self.centres(at.attitudes, at.places, &mut centres);
-        let done = self.interact(at, &centres, forces);
+        let done = interact(&centres, forces);
         forces.centres = centres;
-        done?;
+        let done = done?;
         for (a, &(tree, own)) in self.tree_of.iter().enumerate() {
             let force = forces.on_centres[a];
             forces.forces[tree] += force;
@@ -94,10 +108,7 @@ impl<const N: usize> Bodies<N> {
             }
         }
         forces.torques.iter_mut().for_each(|torque| *torque = so::asym(torque));
-        for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
-            self.inertial_torques(tree, at, forces);
-        }
-        Ok(())
+        Ok(done)
     }
 
     /// Adds up the forces of all interactions, on centres and as torques about them.
@@ -257,7 +268,7 @@ struct Pull<const N: usize> {
 
 /// The arm of a site from the centre of its body, in space coordinates, and its place.
 #[inline]
-fn arm_of<const N: usize>(
+pub(super) fn arm_of<const N: usize>(
     site: &Site<N>,
     attitudes: &[Mat<N>],
     centres: &[Vector<N>],
@@ -272,7 +283,7 @@ fn arm_of<const N: usize>(
 }
 
 /// The length of a vector between two points that must not meet.
-fn distance<const N: usize>(apart: &Vector<N>) -> Result<f64, Failure> {
+pub(super) fn distance<const N: usize>(apart: &Vector<N>) -> Result<f64, Failure> {
     let distance = apart.norm();
     if distance >= CLOSEST_APPROACH_M {
         return Ok(distance);

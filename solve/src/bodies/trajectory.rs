@@ -9,6 +9,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::lanes::Real;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::state::Pace;
 use crate::stop;
 use crate::system::{Energy, free_directions};
 pub use crate::trajectory::{Ending, Schedule};
@@ -27,8 +28,49 @@ pub trait BodiesStepper<const N: usize>: Send {
     /// Any failure; the state is then untouched.
     fn step(&mut self, bodies: &Bodies<N>, h: f64) -> Result<Convergence, Failure>;
 
-    /// The state.
+    /// The state; of a scheme with a time of its own that where it was last brought to ([`BodiesStepper::synchronise`]).
     fn state(&self) -> BodiesState<N>;
+
+    /// Brings a scheme with a time of its own to the end of the last step, of `h` seconds as all; returns the sweeps of that.
+    ///
+    /// # Errors
+    /// Any failure.
+    fn synchronise(&mut self, _bodies: &Bodies<N>, _h: f64) -> Result<u32, Failure> {
+        Ok(0)
+    }
+
+    /// Goes on from a checkpoint of the trajectory that was started, with this state.
+    fn resume(&mut self, state: &BodiesState<N>, _checkpoint: &Checkpoint) {
+        self.start(state);
+    }
+
+    /// Its position in its own time; `None` for a scheme with none.
+    fn own_time(&self) -> Option<OwnTime> {
+        None
+    }
+
+    /// Its longest own step in s, if it was set.
+    fn own_step_s(&mut self) -> Option<&mut f64> {
+        None
+    }
+
+    /// Pace of time where it was last brought to, and since it was last asked; `None` for a scheme with no time of its own.
+    fn pace(&mut self) -> Option<Pace> {
+        None
+    }
+}
+
+/// Position of a scheme in its own time: the end of its last own step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OwnTime {
+    /// The state there, see [`BodiesState::numbers`].
+    pub numbers: Vec<f64>,
+    /// The time there, in seconds since the start.
+    pub time_s: f64,
+    /// Part of that time lost to rounding.
+    pub carry_s: f64,
+    /// Own steps made.
+    pub steps: u64,
 }
 
 /// One body in a sample.
@@ -72,6 +114,8 @@ pub struct Sample<const N: usize> {
     pub momentum_drift: Option<f64>,
     /// How the nonlinear solver ended the step; `None` at the start.
     pub convergence: Option<Convergence>,
+    /// Pace of time for the scheme; `None` for one with no time of its own.
+    pub pace: Option<Pace>,
 }
 
 impl<const N: usize> Sample<N> {
@@ -96,6 +140,7 @@ impl<const N: usize> Sample<N> {
         let linear = self.linear_momentum.iter().flatten();
         bodies
             && figures.into_iter().flatten().all(f64::is_finite)
+            && self.pace.is_none_or(|pace| pace.is_finite())
             && angular.chain(linear).all(|x| x.is_finite())
     }
 }
@@ -130,6 +175,8 @@ pub struct Checkpoint {
     pub numbers: Vec<f64>,
     /// Since when each of [`Bodies::stops`] has held, in s; `None` where it does not.
     pub holds_since_s: Vec<Option<f64>>,
+    /// Own time of a scheme that has one.
+    pub own_time: Option<OwnTime>,
 }
 
 /// Destination of samples.
@@ -324,6 +371,7 @@ impl<const N: usize> Observer<N> {
         state: &BodiesState<N>,
         (step, time_s): (u64, f64),
         convergence: Option<Convergence>,
+        pace: Option<Pace>,
     ) -> Result<Sample<N>, Failure> {
         let seen = bodies.seen(state).ok_or(Failure::not_finite(None))?;
         let energy = bodies.energy(state, &seen);
@@ -348,6 +396,7 @@ impl<const N: usize> Observer<N> {
             linear_momentum: Some(state.linear_momenta.iter().sum()),
             momentum_drift: drift,
             convergence,
+            pace,
         };
         if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
     }
@@ -368,9 +417,9 @@ pub fn integrate<const N: usize, S: Sink<N>>(
     let Course { initial, checkpoint, step_s, steps, every } = course;
     let every = every.max(1);
     let mut bookkeeping = Bookkeeping::new(bodies, initial, step_s);
-    let begun = checkpoint.and_then(|found| initial.with_numbers(&found.numbers));
-    stepper.start(begun.as_ref().unwrap_or(initial));
+    stepper.start(initial);
     if let Some(found) = checkpoint {
+        stepper.resume(initial.with_numbers(&found.numbers).as_ref().unwrap_or(initial), found);
         bookkeeping.resume(found);
     }
     loop {
@@ -381,9 +430,10 @@ pub fn integrate<const N: usize, S: Sink<N>>(
         {
             sink.record(&sample)?;
             if !over && sink.wants_checkpoint() {
+                bookkeeping.reached.own_time = stepper.own_time();
                 sink.checkpoint(&bookkeeping.reached)?;
                 let state = stepper.state();
-                stepper.start(&state);
+                stepper.resume(&state, &bookkeeping.reached);
             }
         }
         if over || !bookkeeping.goes_on() {
@@ -432,7 +482,7 @@ pub fn integrate_members<const N: usize, E>(
                 member.ending = Ending::Cancelled;
             }
             if (is_over || !goes_on || step.is_multiple_of(every))
-                && let Some(sample) = member.sample(bodies, stepper.as_ref())
+                && let Some(sample) = member.sample(bodies, stepper.as_mut())
             {
                 record(m, &sample)?;
             }
@@ -449,7 +499,7 @@ pub fn integrate_members<const N: usize, E>(
             if member.goes_on() {
                 is_anyone_left = true;
             } else {
-                ended.extend(member.sample(bodies, stepper.as_ref()).map(|sample| (m, sample)));
+                ended.extend(member.sample(bodies, stepper.as_mut()).map(|sample| (m, sample)));
             }
         }
         // One may have ended within the step before another did.
@@ -495,7 +545,14 @@ impl<const N: usize> Bookkeeping<N> {
     fn step(&mut self, bodies: &Bodies<N>, stepper: &mut dyn BodiesStepper<N>) {
         let is_located = bodies.stops().iter().any(|stop| stop.exact);
         let begun = is_located.then(|| (stepper.state(), self.reached.clone()));
-        self.stepped(stepper.step(bodies, self.step_s));
+        let mut solved = stepper.step(bodies, self.step_s);
+        if !bodies.stops().is_empty() && solved.is_ok() {
+            // Conditions are looked at after each step.
+            let settled = stepper.synchronise(bodies, self.step_s);
+            self.reached.iterations += u64::from(settled.as_ref().copied().unwrap_or_default());
+            solved = settled.and(solved);
+        }
+        self.stepped(solved);
         self.look_for_a_stop(bodies, stepper);
         if let Some((state, reached)) = begun {
             self.end_within(bodies, stepper, &state, reached);
@@ -604,20 +661,38 @@ impl<const N: usize> Bookkeeping<N> {
 
     /// Takes the sample of the state that was reached, unless there was one. A sample that cannot be taken ends the trajectory:
     /// what was reached is good up to the sample before.
-    fn sample(&mut self, bodies: &Bodies<N>, stepper: &dyn BodiesStepper<N>) -> Option<Sample<N>> {
+    fn sample(
+        &mut self,
+        bodies: &Bodies<N>,
+        stepper: &mut dyn BodiesStepper<N>,
+    ) -> Option<Sample<N>> {
         let time_s = self.time_s();
-        let Self { observer, ending, reached, sampled, .. } = self;
+        let Self { observer, ending, reached, sampled, step_s, .. } = self;
         let step = reached.step;
         if *sampled == Some(step) {
             return None;
         }
+        let settled = stepper.synchronise(bodies, *step_s);
+        if settled.is_err() {
+            // All that is reported ends at the sample before.
+            reached.step = sampled.unwrap_or(0);
+        }
         let state = stepper.state();
-        match observer.sample(bodies, &state, (step, time_s), reached.convergence) {
+        let sample = settled.and_then(|sweeps| {
+            reached.iterations += u64::from(sweeps);
+            let (solved, pace) = (reached.convergence, stepper.pace());
+            observer.sample(bodies, &state, (step, time_s), solved, pace)
+        });
+        match sample {
             Ok(sample) => {
                 reached.samples += 1;
                 reached.numbers = state.numbers();
                 *sampled = Some(step);
                 Some(sample)
+            }
+            Err(Failure { code: FailureCode::Stopped, .. }) => {
+                *ending = Ending::Cancelled;
+                None
             }
             Err(failure) => {
                 *ending = Ending::Failed(failure);

@@ -90,7 +90,15 @@ impl<const N: usize> OwnStepEnd<N> {
 }
 
 /// Most own steps between two times of the loop: with more, the step length does not fit the scene.
-const MOST_STEPS: u64 = 100_000;
+pub(crate) const MOST_STEPS: u64 = 100_000;
+
+/// The failure of a scheme whose `MOST_STEPS` own steps of `dtau` last `lasted_s`, where `goal_s` seconds were to be gone.
+pub(crate) fn too_many_steps(lasted_s: f64, goal_s: f64, dtau: f64) -> Failure {
+    // sigma as the distance it belongs to, and the distance at which `MOST_STEPS` steps would suffice.
+    let near = |sigma: f64| libm::cbrt(sigma * sigma);
+    let all = MOST_STEPS as f64 * dtau;
+    Failure::new(FailureCode::PotentialSingularity, None, near(lasted_s / all), near(goal_s / all))
+}
 
 impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     fn order(&self) -> u32 {
@@ -199,9 +207,9 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
 }
 
 /// Error allowed in reaching a time, relative to it.
-const ROUND_OFF: f64 = 2.0 * f64::EPSILON;
+pub(crate) const ROUND_OFF: f64 = 2.0 * f64::EPSILON;
 /// A few rounds of Newton's method; none is needed if the solution has the duration asked for.
-const MOST_TRIES: u32 = 8;
+pub(crate) const MOST_TRIES: u32 = 8;
 
 impl<const N: usize> VpdAdaptive<N> {
     /// H0.
@@ -243,12 +251,7 @@ impl<const N: usize> VpdAdaptive<N> {
             *last = OwnStepEnd { motion: ahead.motion.clone(), time_s: end_s, steps };
             *lasts = None;
             if steps == most_steps {
-                // sigma as the distance it belongs to, and the distance at which `MOST_STEPS` steps would suffice.
-                let near = |sigma: f64| libm::cbrt(sigma * sigma);
-                let all = MOST_STEPS as f64 * dtau;
-                let (here, needed) =
-                    (near((end_s.value - begun_s) / all), near((goal - begun_s) / all));
-                return Err(Failure::new(FailureCode::PotentialSingularity, None, here, needed));
+                return Err(too_many_steps(end_s.value - begun_s, goal - begun_s, dtau));
             }
         }
     }

@@ -5,6 +5,7 @@
 
 mod adaptive;
 mod bodies;
+mod bodies_adaptive;
 mod control;
 mod counts;
 mod driven;
