@@ -207,10 +207,12 @@ pub(super) fn advised<const N: usize>(
 ) -> Advised {
     /// What failed and what did not are brought as near as this.
     const NEAR: f64 = 1.2;
+    let longest_s = stepper.own_step_s().map(|longest| *longest);
+    // Two steps at least, of steps that adapt as of others.
     let failed_s = way.step_s * (reached.step as f64 + 2.0);
+    let failed_s = failed_s.max(2.0 * longest_s.unwrap_or_default());
     let time_s = failed_s.min(way.step_s * way.steps as f64);
     let is_whole = failed_s >= way.step_s * way.steps as f64;
-    let longest_s = stepper.own_step_s().map(|longest| *longest);
     let short = |step_s: f64| {
         if longest_s.is_some() {
             return two_digits(step_s);

@@ -85,7 +85,7 @@ fn rows() -> Vec<Row> {
         ("/log", json!({"channels": ["/bodies/*/state", "/scene/body"]}), "/log/channels/1", "for scenes of one body"),
         ("/log", json!({"channels": ["/pace"]}), "/log/channels/0", "steps that adapt"),
         ("/method", json!({"name": "vpd_lagrangian"}), "/method/name", "auto, vpd, vpd_adaptive, rk_projected, rkmk, splitting"),
-        ("/method", json!({"name": "rk"}), "/method/name", "auto, vpd, rk_projected, rkmk, splitting"),
+        ("/method", json!({"name": "rk"}), "/method/name", "auto, vpd, vpd_adaptive, rk_projected, rkmk, splitting"),
         ("/method", json!({"name": "lgvi"}), "/method/name", "lgvi given"),
         ("/method", json!({"name": "splitting"}), "/method/name", "without joints"),
         ("/method", json!({"solver": {"kind": "newton"}}), "/method/solver/kind", "fixed_point and auto"),
