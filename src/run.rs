@@ -24,7 +24,7 @@ use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::solve::failure::Failure;
-use crate::solve::state::{Checkpoint, Derivatives};
+use crate::solve::state::{Checkpoint, Derivatives, Pace};
 use crate::solve::trajectory::{self, Ending, Origin, Sample, Schedule, Sink, Trajectory};
 use crate::study::Watch;
 
@@ -555,10 +555,8 @@ fn begin_log(context: &JobContext<'_>, header: &LogHeader) -> Result<LogWriter, 
 
 /// Takes note of a sample for the charts.
 fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) {
-    note_errors(course, epoch_ns, sample.time_s, sample.energy_error, sample.orthogonality_error);
-    if let (Some(pace), Some(time_ns)) = (sample.pace, log_time(epoch_ns, sample.time_s)) {
-        course.note(time_ns, LogChart::Pace, 1.0 / pace.least_sigma);
-    }
+    let errors = [sample.energy_error, sample.orthogonality_error];
+    note_errors(course, epoch_ns, sample.time_s, errors, sample.pace);
     if let (Some(pointed), Some(time_ns)) = (sample.pointing, log_time(epoch_ns, sample.time_s)) {
         course.note(time_ns, LogChart::Pointing, pointed.axis_error_rad);
     }
@@ -568,19 +566,23 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
     }
 }
 
-/// Takes note of the errors of a sample.
+/// Takes note of the errors of a sample, of energy and orthogonality, and of its pace: of one body or several.
 fn note_errors(
     course: &mut Course,
     epoch_ns: u64,
     time_s: f64,
-    energy: Option<f64>,
-    orthogonality: Option<f64>,
+    [energy, orthogonality]: [Option<f64>; 2],
+    pace: Option<Pace>,
 ) {
     // The writer refuses a time that a log cannot hold.
     let Some(time_ns) = log_time(epoch_ns, time_s) else { return };
-    for (chart, error) in [(LogChart::Energy, energy), (LogChart::Orthogonality, orthogonality)] {
-        if let Some(error) = error {
-            course.note(time_ns, chart, error);
+    for (chart, value) in [
+        (LogChart::Energy, energy),
+        (LogChart::Orthogonality, orthogonality),
+        (LogChart::Pace, pace.map(|pace| 1.0 / pace.least_sigma)),
+    ] {
+        if let Some(value) = value {
+            course.note(time_ns, chart, value);
         }
     }
 }

@@ -174,9 +174,9 @@ impl<const N: usize> Sink<N> for Several<'_> {
                 if held { Ok(()) } else { Err(LogError::Time { time_s, epoch_ns }) }
             }
             Keep::Log(writer) => {
-                let &Sample { time_s, energy_error, orthogonality_error, .. } = sample;
+                let &Sample { time_s, energy_error, orthogonality_error, pace, .. } = sample;
                 let course = &mut recorder.course;
-                note_errors(course, epoch_ns, time_s, energy_error, orthogonality_error);
+                note_errors(course, epoch_ns, time_s, [energy_error, orthogonality_error], pace);
                 let result = writer.record_bodies(0, sample);
                 recorder.control.note_durable(writer);
                 result

@@ -37,9 +37,15 @@ impl<const N: usize> Crew<N> for BodiesAssembly<N> {
         let numbers = &ensemble.planned.in_full;
         let record = |m: usize, sample: &Sample<N>| {
             if m == 0 {
-                let &Sample { time_s, energy_error, orthogonality_error, .. } = sample;
+                let &Sample { time_s, energy_error, orthogonality_error, pace, .. } = sample;
                 let epoch_ns = logged.header.epoch_ns;
-                note_errors(logged.course, epoch_ns, time_s, energy_error, orthogonality_error);
+                note_errors(
+                    logged.course,
+                    epoch_ns,
+                    time_s,
+                    [energy_error, orthogonality_error],
+                    pace,
+                );
             }
             logged.sample(ensemble, |log| log.record_bodies(numbers[m], sample))
         };
