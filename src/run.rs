@@ -23,9 +23,12 @@ use crate::log::messages::{self, Figures};
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
+use crate::solve::bodies::trajectory::Sample as BodiesSample;
 use crate::solve::failure::Failure;
 use crate::solve::state::{Checkpoint, Derivatives, Pace};
-use crate::solve::trajectory::{self, Ending, Origin, Sample, Schedule, Sink, Trajectory};
+use crate::solve::trajectory::{
+    self, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
+};
 use crate::study::Watch;
 
 mod advice;
@@ -564,6 +567,19 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
     if let (Some(spread), Some(time_ns)) = (spread, log_time(epoch_ns, sample.time_s)) {
         course.note(time_ns, LogChart::Spread, spread);
     }
+}
+
+/// Does the same of several bodies, as far as it is `asked` for: their samples have all.
+fn note_bodies<const N: usize>(
+    course: &mut Course,
+    epoch_ns: u64,
+    asked: Observables,
+    sample: &BodiesSample<N>,
+) {
+    let energy = sample.energy_error.filter(|_| asked.energy);
+    let orthogonality = sample.orthogonality_error.filter(|_| asked.orthogonality);
+    let pace = sample.pace.filter(|_| asked.pace);
+    note_errors(course, epoch_ns, sample.time_s, [energy, orthogonality], pace);
 }
 
 /// Takes note of the errors of a sample, of energy and orthogonality, and of its pace: of one body or several.

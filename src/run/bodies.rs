@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Tried};
 use super::{
     Asked, End, Ensemble, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary,
-    finish, header, note_errors, ns_per_step, outcome, stopped,
+    finish, header, note_bodies, ns_per_step, outcome, stopped,
 };
 use crate::assemble::{BodiesAssembly, BodiesTask};
 use crate::log::LogError;
@@ -22,6 +22,7 @@ use crate::solve::bodies::trajectory::{
 };
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::failure::{Failure, two_digits};
+use crate::solve::trajectory::Observables;
 use crate::solve::work::Work;
 
 /// A run whose samples go to its log.
@@ -50,7 +51,7 @@ impl BodiesTask for BodiesRun<'_> {
         let resumed_step = checkpoint.as_ref().map_or(0, |found| found.step);
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
         let names = plan.bodies.iter().filter_map(|body| BodyName::of(&body.name)).collect();
-        let mut sink = Several { recorder, names };
+        let mut sink = Several { recorder, names, observables: plan.observables() };
         let Plan { step_s, steps, every, .. } = *plan;
         let way =
             Course { initial: &initial, checkpoint: checkpoint.as_ref(), step_s, steps, every };
@@ -152,13 +153,15 @@ pub(super) fn energy_at_the_ends<const N: usize>(
 struct Several<'a> {
     recorder: Recorder<'a>,
     names: Vec<BodyName>,
+    /// What the log holds.
+    observables: Observables,
 }
 
 impl<const N: usize> Sink<N> for Several<'_> {
     type Error = RunError;
 
     fn record(&mut self, sample: &Sample<N>) -> Result<(), RunError> {
-        let Self { recorder, names } = self;
+        let Self { recorder, names, observables } = self;
         // The last sample of a run that is cut off here has no place in the log of the whole.
         if recorder.control.interrupted.load(Ordering::Relaxed) {
             return Err(RunError::Interrupted);
@@ -174,9 +177,7 @@ impl<const N: usize> Sink<N> for Several<'_> {
                 if held { Ok(()) } else { Err(LogError::Time { time_s, epoch_ns }) }
             }
             Keep::Log(writer) => {
-                let &Sample { time_s, energy_error, orthogonality_error, pace, .. } = sample;
-                let course = &mut recorder.course;
-                note_errors(course, epoch_ns, time_s, [energy_error, orthogonality_error], pace);
+                note_bodies(&mut recorder.course, epoch_ns, *observables, sample);
                 let result = writer.record_bodies(0, sample);
                 recorder.control.note_durable(writer);
                 result

@@ -11,7 +11,7 @@ use crate::plan::Plan;
 use crate::run::advice::Patience;
 use crate::run::bodies::{advised, energy_at_the_ends, final_state};
 use crate::run::summary::{self, EnergySeen};
-use crate::run::{Reached, RunError, json, note_errors};
+use crate::run::{Reached, RunError, json, note_bodies};
 use crate::scenario;
 use crate::solve::bodies::BodiesState;
 use crate::solve::bodies::trajectory::{
@@ -35,17 +35,10 @@ impl<const N: usize> Crew<N> for BodiesAssembly<N> {
     ) -> Result<Option<Vec<Member>>, RunError> {
         let control = ensemble.context.control;
         let numbers = &ensemble.planned.in_full;
+        let observables = ensemble.plan.observables();
         let record = |m: usize, sample: &Sample<N>| {
             if m == 0 {
-                let &Sample { time_s, energy_error, orthogonality_error, pace, .. } = sample;
-                let epoch_ns = logged.header.epoch_ns;
-                note_errors(
-                    logged.course,
-                    epoch_ns,
-                    time_s,
-                    [energy_error, orthogonality_error],
-                    pace,
-                );
+                note_bodies(logged.course, logged.header.epoch_ns, observables, sample);
             }
             logged.sample(ensemble, |log| log.record_bodies(numbers[m], sample))
         };
