@@ -9,7 +9,7 @@
 //!
 //! The polar factor of a matrix of blocks is that of its blocks: this is the map of the paper on SO(nk), restricted to attitudes
 //! of k bodies. A sweep goes over the bodies, in blocks side by side in lanes, and then over the forces. The same map takes
-//! steps of [rescaled] bodies: all velocities times sigma, and the forces of H~.
+//! steps of bodies in a rescaled time (`rescaled.rs`): all velocities times sigma, and the forces of H~.
 //!
 //! Invariant: only forces change linear momenta, and only torques spatial ones; a step that fails leaves the state as it was.
 

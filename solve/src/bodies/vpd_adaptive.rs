@@ -1,5 +1,5 @@
 //! VPD for several bodies with steps of one length in a time of its own that slows down where points of theirs come close: the
-//! map of [`super::vpd`] for [rescaled] bodies. Its own steps, its samples and its time are those of
+//! map of [`super::vpd`] for bodies in a rescaled time (`rescaled.rs`). Its own steps, its samples and its time are those of
 //! [`crate::stepper::vpd_adaptive`].
 //!
 //! ```text
