@@ -380,6 +380,7 @@ fn growth_over_a_million_steps() {
         .into_iter()
         .filter(|m| format!("{} {}", m.name, m.size).contains(&only))
         .collect();
+    assert!(!methods.is_empty(), "no method has {only:?} in its name");
     let (table, lines) = judged(&methods, 1_000_000, 6);
     println!("{table}");
     assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
