@@ -169,6 +169,7 @@ impl<R: StageScalar<StepScalar = f64>, D: Dimension> Step<'_, R, D> {
             * match (self.start.stop_early, self.coefficients.tableau.stages) {
                 (false, _) => LAST_DIGIT,
                 (true, ..=4) => 10.0,
+                (true, 5 | 6) => 0.1,
                 (true, _) => 1.0,
             }
     }
