@@ -28,6 +28,7 @@ use crate::nonlinear::{
 };
 use crate::so::{self, Mat, Vector};
 use crate::stepper::checks::{check_continuity, check_singular_value};
+use crate::stepper::galerkin::Length;
 use crate::tableau::Tableau;
 
 /// Passes over velocities and attitudes in a sweep.
@@ -49,13 +50,6 @@ pub struct BodiesVpd<const N: usize> {
     stage: StageState<N>,
     history: Option<StepHistory>,
     rescaling: Option<Rescaling<N>>,
-}
-
-/// Length of a step: in the time of the scheme, and, if it is to last so long, in seconds; then the first is a guess.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Length {
-    pub(super) h: f64,
-    pub(super) lasting: Option<f64>,
 }
 
 /// All bodies at one stage, gathered from the blocks.

@@ -109,12 +109,12 @@ fn for_three<T: Any, U: Any>(value: &T) -> Option<&U> {
 
 /// The length of a step.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Length {
+pub(crate) struct Length {
     /// h.
-    pub(super) h: f64,
+    pub(crate) h: f64,
     /// Time that the step is to last, if that is what is known, for a system in a time of its own;
     /// h is then a guess, which need not be improved.
-    pub(super) lasting: Option<f64>,
+    pub(crate) lasting: Option<f64>,
 }
 
 impl From<f64> for Length {

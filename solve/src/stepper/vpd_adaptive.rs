@@ -1,25 +1,18 @@
 //! VPD in Hamiltonian form, with steps of one length in a time of its own that slows down near the points of the potential:
 //! the map of [`super::vpd`] for the Hamiltonian K of [`crate::hamiltonian::Rescaled`].
 //!
-//! Its own steps do not end at the times k h that the time loop asks for: from the last own step before such a time an
-//! extra step leads to it,
+//! H0 is the energy at the start of the trajectory, wherever it is resumed.
 //!
-//! ```text
-//! dt = dtau sum_k b_k sigma(U_k),      dtau = (k h - t) / sum_k b_k sigma(U_k)   extra step
-//! ```
-//!
-//! and forgotten after the sample. t is a sum, and its part lost to rounding is carried.
-//!
-//! Invariant: own steps are of one length and do not depend on the samples; H0 is the energy at the start of the trajectory,
-//! wherever it is resumed.
+//! Invariant: that of its own steps ([`super::own_steps`]).
 
 use super::Stepper;
 use super::galerkin::{Length, Motion, StepperState};
+use super::own_steps::{OwnMap, OwnStepEnd, OwnSteps};
 use super::vpd::solve;
 use crate::compensated::Sum;
-use crate::failure::{Failure, FailureCode};
+use crate::failure::Failure;
 use crate::hamiltonian::{Rescaled, RigidBody, TimeScale};
-use crate::nonlinear::{Convergence, Rung, StopRule};
+use crate::nonlinear::{Convergence, StopRule};
 use crate::so::Mat;
 use crate::state::{Checkpoint, OwnTime, Pace, State};
 use crate::tableau::Tableau;
@@ -33,25 +26,46 @@ pub struct VpdAdaptive<const N: usize> {
     start: State<N>,
     /// H0, once a body has been seen.
     energy: Option<f64>,
-    /// Steps of the time loop.
-    made: u64,
-    last: OwnStepEnd<N>,
-    /// The own step from `last`, and how long it lasts: it ends after the time that the loop has reached.
+    steps: OwnSteps<Motion<N>>,
     ahead: StepperState<N>,
-    lasts: Option<f64>,
     aside: StepperState<N>,
-    /// The least dt / dtau of an own step since the last sample.
-    least_sigma: f64,
-    pace: Pace,
 }
 
-/// End of an own step.
-#[derive(Clone, Debug)]
-struct OwnStepEnd<const N: usize> {
-    motion: Motion<N>,
-    time_s: Sum<f64>,
-    /// Own steps so far.
-    steps: u64,
+/// The map of a body in its own time.
+struct Map<'a, const N: usize> {
+    system: Rescaled<'a, N>,
+    ahead: &'a mut StepperState<N>,
+    aside: &'a mut StepperState<N>,
+}
+
+impl<const N: usize> OwnMap<Motion<N>> for Map<'_, N> {
+    fn step(
+        &mut self,
+        from: &Motion<N>,
+        dtau: f64,
+    ) -> Result<(Motion<N>, Convergence, f64), Failure> {
+        let Self { system, ahead, .. } = self;
+        ahead.motion = from.clone();
+        let solved = ahead.step(dtau, |carried, h| solve(carried, system, h))?;
+        Ok((ahead.motion.clone(), solved, ahead.step.lasted(system, from.attitude())))
+    }
+
+    fn extra_step(
+        &mut self,
+        from: &Motion<N>,
+        length: Length,
+    ) -> Result<(Motion<N>, u32, [f64; 2]), Failure> {
+        let Self { system, aside, .. } = self;
+        aside.motion = from.clone();
+        let sweeps = solve(aside, system, length)?.iterations;
+        let lasted = aside.step.lasted(system, from.attitude());
+        aside.step.carry(&mut aside.motion);
+        Ok((aside.motion.clone(), sweeps, [aside.step.length(), lasted]))
+    }
+
+    fn sigma(&mut self, motion: &Motion<N>) -> Result<f64, Failure> {
+        Ok(self.system.sigma(motion.attitude()))
+    }
 }
 
 impl<const N: usize> VpdAdaptive<N> {
@@ -64,13 +78,9 @@ impl<const N: usize> VpdAdaptive<N> {
             scale,
             longest_s: None,
             energy: None,
-            made: 0,
-            last: OwnStepEnd::new(&start),
-            lasts: None,
+            steps: begun(&start),
             aside: carried.clone(),
-            least_sigma: 1.0,
             ahead: carried,
-            pace: Pace::default(),
             start,
         }
     }
@@ -83,21 +93,10 @@ impl<const N: usize> VpdAdaptive<N> {
     }
 }
 
-impl<const N: usize> OwnStepEnd<N> {
-    fn new(state: &State<N>) -> Self {
-        Self { motion: Motion::new(state), time_s: Sum::default(), steps: 0 }
-    }
-}
-
-/// Most own steps between two times of the loop: with more, the step length does not fit the scene.
-pub(crate) const MOST_STEPS: u64 = 100_000;
-
-/// The failure of a scheme whose `MOST_STEPS` own steps of `dtau` last `lasted_s`, where `goal_s` seconds were to be gone.
-pub(crate) fn too_many_steps(lasted_s: f64, goal_s: f64, dtau: f64) -> Failure {
-    // sigma as the distance it belongs to, and the distance at which `MOST_STEPS` steps would suffice.
-    let near = |sigma: f64| libm::cbrt(sigma * sigma);
-    let all = MOST_STEPS as f64 * dtau;
-    Failure::new(FailureCode::PotentialSingularity, None, near(lasted_s / all), near(goal_s / all))
+/// Returns the own steps of a trajectory that begins at `state`.
+fn begun<const N: usize>(state: &State<N>) -> OwnSteps<Motion<N>> {
+    let motion = Motion::new(state);
+    OwnSteps::new(0, OwnStepEnd::at_start(motion.clone()), motion)
 }
 
 impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
@@ -106,24 +105,20 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     }
 
     fn start(&mut self, state: &State<N>) {
-        (self.start, self.energy, self.made) = (state.clone(), None, 0);
-        (self.last, self.lasts, self.least_sigma) = (OwnStepEnd::new(state), None, 1.0);
-        self.aside.start(state);
-        self.pace = Pace::default();
+        (self.start, self.energy, self.steps) = (state.clone(), None, begun(state));
     }
 
     fn resume(&mut self, checkpoint: &Checkpoint<N>) {
-        let state = checkpoint.state();
-        self.last = match &checkpoint.own_time {
+        let here = Motion::new(&checkpoint.state());
+        let last = match &checkpoint.own_time {
             Some(OwnTime { attitude, momentum, time_s, carry_s, steps }) => OwnStepEnd {
                 motion: Motion::new(&State { attitude: *attitude, momentum: *momentum }),
                 time_s: Sum { value: *time_s, carry: *carry_s },
                 steps: *steps,
             },
-            None => OwnStepEnd::new(&state),
+            None => OwnStepEnd::at_start(here.clone()),
         };
-        (self.made, self.lasts, self.least_sigma) = (checkpoint.step, None, 1.0);
-        self.aside.start(&state);
+        self.steps = OwnSteps::new(checkpoint.step, last, here);
     }
 
     fn own_step_s(&mut self) -> Option<&mut f64> {
@@ -132,73 +127,35 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
 
     fn own_time(&self) -> Option<OwnTime<N>> {
         let OwnStepEnd { motion, time_s: Sum { value: time_s, carry: carry_s }, steps } =
-            &self.last;
+            &self.steps.last;
         let (attitude, momentum) = (*motion.attitude(), *motion.body_momentum());
         Some(OwnTime { attitude, momentum, time_s: *time_s, carry_s: *carry_s, steps: *steps })
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
-        let begun = self.last.clone();
-        let goal = (self.made + 1) as f64 * h;
         let dtau = self.longest_s.unwrap_or(h);
-        let result = self.go_to(body, goal, dtau);
-        match result {
-            Ok(_) => self.made += 1,
-            Err(_) => (self.last, self.lasts) = (begun, None),
-        }
-        result
+        let (steps, mut map) = self.in_own_time(body);
+        steps.step(&mut map, h, dtau)
     }
 
     fn synchronise(&mut self, body: &RigidBody<N>, h: f64) -> Result<u32, Failure> {
-        let time_s = self.made as f64 * h;
-        let lasting = (time_s - self.last.time_s.value) - self.last.time_s.carry;
-        let energy = self.energy(body);
         let dtau = self.longest_s.unwrap_or(h);
-        let Self { scale, last, aside, lasts, least_sigma, pace, .. } = self;
-        let system = Rescaled::new(body, scale, energy);
-        let mut sweeps = 0;
-        let mut missing = 0.0;
-        aside.motion = last.motion.clone();
-        if lasting > 0.0 {
-            let sigma = lasts.map_or(system.sigma(last.motion.attitude()), |t| t / dtau);
-            let mut length = Length { h: lasting / sigma, lasting: Some(lasting) };
-            for _ in 0..MOST_TRIES {
-                sweeps += solve(aside, &system, length)?.iterations;
-                missing = lasting - aside.step.lasted(&system, last.motion.attitude());
-                if missing.abs() <= ROUND_OFF * time_s {
-                    break;
-                }
-                // Newton's method: dt/dh is about sigma at the end.
-                let mut end = last.motion.clone();
-                aside.step.carry(&mut end);
-                length.h = aside.step.length() + missing / system.sigma(end.attitude());
-            }
-            aside.step.carry(&mut aside.motion);
-        }
-        let sigma = system.sigma(aside.motion.attitude());
-        // A step is part of all intervals that it crosses.
-        let around = lasts.map_or(sigma, |t| t / dtau);
-        *pace = Pace {
-            sigma,
-            step_s: lasts.unwrap_or(0.0),
-            steps: last.steps,
-            least_sigma: least_sigma.min(around),
-            time_error_s: -missing,
-        };
-        *least_sigma = 1.0;
+        let (steps, mut map) = self.in_own_time(body);
+        let sweeps = steps.synchronise(&mut map, h, dtau)?;
+        steps.forget_least_sigma();
         Ok(sweeps)
     }
 
     fn pace(&self) -> Option<Pace> {
-        Some(self.pace)
+        Some(self.steps.pace)
     }
 
     fn attitude(&self) -> Option<Mat<N>> {
-        Some(*self.aside.motion.attitude())
+        Some(*self.steps.here.attitude())
     }
 
     fn momentum(&self) -> Mat<N> {
-        *self.aside.motion.body_momentum()
+        *self.steps.here.body_momentum()
     }
 
     fn sigma_min(&self) -> Option<f64> {
@@ -206,53 +163,15 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     }
 }
 
-/// Error allowed in reaching a time, relative to it.
-pub(crate) const ROUND_OFF: f64 = 2.0 * f64::EPSILON;
-/// A few rounds of Newton's method; none is needed if the solution has the duration asked for.
-pub(crate) const MOST_TRIES: u32 = 8;
-
 impl<const N: usize> VpdAdaptive<N> {
-    /// H0.
-    fn energy(&mut self, body: &RigidBody<N>) -> f64 {
-        let State { attitude, momentum } = &self.start;
-        *self.energy.get_or_insert_with(|| body.energy(attitude, momentum).total())
-    }
-
-    /// Makes own steps until the next ends after `goal`. Returns how they were solved: all sweeps,
-    /// and the last rung of the ladder that any of them needed.
-    fn go_to(&mut self, body: &RigidBody<N>, goal: f64, dtau: f64) -> Result<Convergence, Failure> {
-        let energy = self.energy(body);
-        let Self { scale, last, ahead, lasts, least_sigma, .. } = self;
-        let (begun_s, most_steps) = (last.time_s.value, last.steps + MOST_STEPS);
-        let system = Rescaled::new(body, scale, energy);
-        let mut solved = Convergence { iterations: 0, increment: 0.0, rung: Rung::FixedPoint };
-        loop {
-            let dt = match *lasts {
-                Some(dt) => dt,
-                None => {
-                    ahead.motion = last.motion.clone();
-                    let step = ahead.step(dtau, |carried, h| solve(carried, &system, h))?;
-                    solved.iterations = solved.iterations.saturating_add(step.iterations);
-                    solved.increment = solved.increment.max(step.increment);
-                    if step.rung == Rung::Newton {
-                        solved.rung = Rung::Newton;
-                    }
-                    let dt = ahead.step.lasted(&system, last.motion.attitude());
-                    *least_sigma = least_sigma.min(dt / dtau);
-                    *lasts.insert(dt)
-                }
-            };
-            let mut end_s = last.time_s;
-            end_s.add(dt);
-            if end_s.value > goal || (end_s.value == goal && end_s.carry > 0.0) {
-                return Ok(solved);
-            }
-            let steps = last.steps + 1;
-            *last = OwnStepEnd { motion: ahead.motion.clone(), time_s: end_s, steps };
-            *lasts = None;
-            if steps == most_steps {
-                return Err(too_many_steps(end_s.value - begun_s, goal - begun_s, dtau));
-            }
-        }
+    /// Returns its steps and their map for `body`, with H0.
+    fn in_own_time<'a>(
+        &'a mut self,
+        body: &'a RigidBody<N>,
+    ) -> (&'a mut OwnSteps<Motion<N>>, Map<'a, N>) {
+        let Self { scale, start, energy, steps, ahead, aside, .. } = self;
+        let State { attitude, momentum } = &*start;
+        let energy = *energy.get_or_insert_with(|| body.energy(attitude, momentum).total());
+        (steps, Map { system: Rescaled::new(body, scale, energy), ahead, aside })
     }
 }
