@@ -320,8 +320,13 @@ impl Collocation {
                 else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end))
             }
             (2, None) => solve_any(Rows([0.0; 2]), coefficients, start, source, u, end),
+            // Of four lanes the registers of AVX-512 gain for this size alone.
+            (4, Some(level)) if start.n == 16 => {
+                widest!(level, f64x4, lanes => Step::new(lanes, Known::<16>, coefficients, start, source, u, end).solve(),
+                else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
+            }
             (4, Some(level)) => {
-                widest!(level, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
+                widest!(level below Avx512, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
             }
             (4, None) => solve_any(Rows([0.0; 4]), coefficients, start, source, u, end),
