@@ -1,6 +1,6 @@
 //! 3 · Plan → body, stepper and state at the start, with their const size.
 //!
-//! Invariant: the only place that turns runtime n into const N.
+//! Invariant: what runs gets its const N here; `plan/bodies.rs` does the same for what it looks at.
 
 use std::any::Any;
 

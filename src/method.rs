@@ -157,7 +157,7 @@ pub struct Facts {
     pub free: bool,
     /// Whether it can fall back on Newton's method.
     pub newton: bool,
-    /// Whether it is computed in lanes for n = 3. More stages than there are lanes are computed as
+    /// Whether a rigid body is computed in lanes of stages for n = 3. More stages than there are lanes are computed as
     /// for general n.
     pub(crate) lanes: bool,
     /// Whether it is computed for n = 2 where the motion stays in a plane.

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::log::schema::{Channel, Scenery};
 use crate::method::Integrator;
 use crate::scenario::{
-    Adaptive, Coefficients, DrivenTerm, Ensemble, Field, Path, PotentialTerm, Scenario,
+    Adaptive, Attitude, Coefficients, DrivenTerm, Ensemble, Field, Path, PotentialTerm, Scenario,
     ScenarioError, Solver, TableauChoice, Target, Through, Torque,
 };
 use crate::solve::composition::Composition;
@@ -417,6 +417,7 @@ impl Plan {
             plan.model.momentum_balance(n, plan.free_directions, plan.formulation.method);
         plan.jacobi_integral = plan.model.jacobi_integral();
         plan.warnings.extend(plan.low_order());
+        plan.warnings.extend(whole_turns("the body", scenario.scene.initial.attitude.as_ref()));
         plan.warnings.extend(no_body(&inertia));
         plan.warnings.extend(below_parallel_axis(&scenario.scene.potential, &inertia));
         plan.warnings.extend(plan.weak_gradients());
@@ -747,10 +748,13 @@ impl Plan {
             (asked, None) => asked,
         };
         if let Some(method) = asked.filter(|method| method.facts().free && !free) {
-            let term =
-                self.potential.iter().find(|term| term.kept).map_or("", |term| &term.pointer);
+            let acts = match self.potential.iter().find(|term| term.kept) {
+                Some(term) if self.model.terms.is_empty() => format!("{} acts", term.pointer),
+                Some(term) => format!("{} depends on the attitude", term.pointer),
+                None => "something acts on this one".to_owned(),
+            };
             let name = method.as_str();
-            let message = format!("{name} is for free bodies, but {term} depends on the attitude");
+            let message = format!("{name} is for free bodies, but {acts}");
             return Err(ScenarioError::invalid("/method/name", message));
         }
         if let Some(method) = asked {
@@ -853,6 +857,17 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     };
     let logged = Channel::all().into_iter().filter(|channel| has(channel) && asked(channel));
     logged.map(|topic| ChannelPlan { topic, computes: topic.computes() }).collect()
+}
+
+/// Warns of an angle in radians of more than a turn: most often it is one in degrees.
+fn whole_turns(whose: &str, attitude: Option<&Attitude>) -> Option<String> {
+    let angle_rad = attitude?.largest_angle_rad();
+    let turns = angle_rad / std::f64::consts::TAU;
+    (turns > 1.0).then(|| {
+        format!(
+            "an angle of {whose} at the start is {angle_rad} rad, or {turns:.1} turns: degrees have fields that end in `_deg`"
+        )
+    })
 }
 
 /// Returns a message about an inertia that no rigid body has: a moment is the sum of two second

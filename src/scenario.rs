@@ -300,6 +300,19 @@ pub enum Attitude {
     Mrp([f64; 3]),
 }
 
+impl Attitude {
+    /// Returns the largest of the angles that are given in radians; zero if none is.
+    pub(crate) fn largest_angle_rad(&self) -> f64 {
+        let angles = match self {
+            Self::AxisAngle(AxisAngle { angle_rad, .. }) => angle_rad.map(|angle| [angle; 3]),
+            Self::Euler(Euler { angles_rad, .. })
+            | Self::RollPitchYaw(RollPitchYaw { angles_rad, .. }) => *angles_rad,
+            Self::Matrix(_) | Self::Quaternion(_) | Self::Mrp(_) => None,
+        };
+        angles.into_iter().flatten().fold(0.0, |largest, angle| largest.max(angle.abs()))
+    }
+}
+
 /// A turn about an axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

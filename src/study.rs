@@ -326,11 +326,10 @@ impl Scales {
             // Adaptive steps are shorter where the body is fast.
             let gentle =
                 run.least_sigma.is_some() || run.fastest_rad_s * step_s <= 2.0 * EASY_TURN_RAD;
-            let energy = run.largest_kinetic;
-            if run.completed() && gentle && run.energy_error() <= 1e-6 * energy {
+            if run.completed() && gentle && run.energy_error() <= 1e-6 * run.energies.moved() {
                 return Ok(Self {
                     fastest_rad_s: run.fastest_rad_s.max(1.0 / time_s),
-                    kinetic: energy,
+                    kinetic: run.energies.kinetic(),
                     easy_step_s: step_s,
                     adapts: false,
                 });

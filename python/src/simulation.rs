@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
@@ -108,10 +108,16 @@ impl Simulation {
         let is_list = torque.is_instance_of::<PyList>() || torque.is_instance_of::<PyTuple>();
         // Of an array the numbers are read as a list: one by one they would be objects of NumPy.
         let listed = (!is_list).then(|| torque.getattr(intern!(py, "tolist")).ok()).flatten();
-        let numbers: Vec<f64> = match listed {
-            Some(listed) => listed.call0()?.extract()?,
-            None => torque.extract()?,
+        let numbers = match listed {
+            Some(listed) => listed.call0()?.extract(),
+            None => torque.extract(),
         };
+        let numbers: Vec<f64> = numbers.map_err(|_| {
+            PyTypeError::new_err(format!(
+                "a torque is a list or an array of {} numbers in N m, one for each plane of the body",
+                self.inner().torque().len()
+            ))
+        })?;
         let has_log = self.log.is_some();
         let inner = self.inner_mut();
         let set = inner.set_torque(&numbers);

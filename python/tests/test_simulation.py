@@ -161,6 +161,8 @@ def test_what_is_refused(body, dipole, tmp_path):
             sim.torque = wrong
     with pytest.raises(TypeError):
         sim.torque = "none"
+    with pytest.raises(TypeError, match="a list or an array of 3 numbers"):
+        sim.torque = 5
     for wrong in (lambda: sim.wheel_torque, lambda: setattr(sim, "wheel_torque", [0, 0, 1])):
         with pytest.raises(vpd.Error, match="wheels"):
             wrong()

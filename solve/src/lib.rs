@@ -8,7 +8,7 @@
 //! in print, and its label in the source of the paper.
 //! Runtime sizes are const `N` here; symbols follow the paper and are listed in NOTATION.md.
 //!
-//! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).
+//! Invariant: a step either leaves finite values or a named failure ([`failure::Failure`]).
 
 pub mod bodies;
 pub mod compensated;

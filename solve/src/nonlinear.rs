@@ -1,4 +1,4 @@
-//! The one nonlinear solver: repeats a sweep until its increments are round-off, turns to Newton's method where sweeps
+//! The solver for what is solved by sweeps: repeats a sweep until its increments are round-off, turns to Newton's method where sweeps
 //! converge slowly or not at all, or reports why there is no solution.
 //!
 //! # When it stops

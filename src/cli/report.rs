@@ -98,6 +98,10 @@ fn text(found: &Report) -> String {
             "\n{}\n  mean      {:.4e} +- {:.1e}, of {}",
             column.name, column.mean, column.standard_error, column.count
         );
+        if !column.quantiles.is_empty() && column.count < counts.succeeded {
+            let none = counts.succeeded - column.count;
+            let _ = writeln!(text, "  quantiles of those that have one: {none} have none");
+        }
         for (part, figure) in &column.quantiles {
             let _ = writeln!(
                 text,

@@ -160,6 +160,7 @@ pub(super) fn draw(args: &ChartArgs) -> Result<Status, CliError> {
     if logs > 0 {
         return Err(CliError::Mixed);
     }
+    may_hold(&args.study.output)?;
     for path in &args.inputs {
         let scene = args.study.scenario(path)?;
         let entries = args.study.entries(path, &scene, usual_methods)?;
@@ -184,8 +185,18 @@ pub(super) fn draw(args: &ChartArgs) -> Result<Status, CliError> {
     Ok(Status::SUCCESS)
 }
 
+/// Refuses a folder that is something else, before anything is computed for it.
+fn may_hold(folder: &Path) -> Result<(), CliError> {
+    if folder.exists() && !folder.is_dir() {
+        let source = io::ErrorKind::NotADirectory.into();
+        return Err(CliError::Write { path: folder.to_owned(), source });
+    }
+    Ok(())
+}
+
 /// Draws the map of a scenario and lists the largest usable steps.
 pub(super) fn map(args: &StabilityArgs) -> Result<Status, CliError> {
+    may_hold(&args.study.output)?;
     let scene = args.study.scenario(&args.scenario)?;
     let entries = args.study.entries(&args.scenario, &scene, all_methods)?;
     let map = followed(scene.name(), |watch| stability_so_far(&scene, &entries, watch))?;

@@ -113,6 +113,8 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<Status, CliError> {
         }
     };
     #[cfg(feature = "chart")]
+    args.svg.as_deref().map_or(Ok(()), may_write)?;
+    #[cfg(feature = "chart")]
     if args.svg.is_some() && !args.force && table.exists() {
         draw(args, &sweep, &table)?;
         return Ok(Status::SUCCESS);
@@ -265,7 +267,6 @@ fn keep_log(sweep: &Sweep, member: u64, table: &Path, control: &Control) -> Resu
 #[cfg(feature = "chart")]
 fn draw(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<(), CliError> {
     let Some(svg) = &args.svg else { return Ok(()) };
-    may_write(svg)?;
     let picture = chart::sweep(&sweep.shown(table, args.column.as_deref())?)?;
     std::fs::write(svg, picture).map_err(|source| CliError::Write { path: svg.clone(), source })?;
     Ok(show(format!("picture         {}\n", svg.display()))?)

@@ -105,7 +105,9 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
         let error = pointing_error_rad.map_or_else(String::new, |error| {
             format!(", pointing error {error:.2e} rad at the last sample")
         });
-        line("control", cut + &error);
+        // Of an ensemble the table of members says it of each.
+        let whose = if summary.ensemble.is_some() { "of member 0: " } else { "" };
+        line("control", format!("{whose}{cut}{error}"));
     }
     if let Some(DerivativesSummary { transition_norm, symplectic_error }) = summary.derivatives {
         line(

@@ -375,6 +375,12 @@ impl Plan {
                 BodyPlan { name: body.name.clone(), hold, why, exact }
             })
             .collect();
+        plan.warnings.extend(
+            scene
+                .bodies
+                .iter()
+                .filter_map(|body| super::whole_turns(&body.name, body.initial.attitude.as_ref())),
+        );
         plan.free_directions = conserved(scenario, scene);
         for ChannelPlan { topic, computes } in &mut plan.channels {
             *computes = match topic {

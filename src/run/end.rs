@@ -115,7 +115,7 @@ pub(super) fn finish(
     for warning in asked.warnings {
         say(Level::Warning, warning)?;
     }
-    let seen = energy.map(|ends| EnergySeen::at_samples(figures).unwrap_or(ends));
+    let seen = energy.map(|ends| EnergySeen::at_samples(figures, ends.is_driven).unwrap_or(ends));
     let warning = seen.filter(|_| !asked.is_known).and_then(summary::warning);
     if let Some(warning) = &warning {
         say(Level::Warning, warning)?;

@@ -363,17 +363,21 @@ pub(super) struct EnergySeen {
     initial: f64,
     /// Largest |H - H0|.
     error: f64,
-    /// Largest kinetic energy.
+    /// Largest kinetic energy; of a driven body also the largest change of its energy.
     kinetic: f64,
+    pub(super) is_driven: bool,
 }
 
 impl EnergySeen {
     /// Returns the energy at the samples; `None` if `/energy` was not logged.
-    pub(super) fn at_samples(figures: &Figures) -> Option<Self> {
+    pub(super) fn at_samples(figures: &Figures, is_driven: bool) -> Option<Self> {
+        let change = figures.energy_largest? - figures.energy_least?;
+        let kinetic = figures.kinetic_max?;
         Some(Self {
             initial: figures.energy_initial?,
             error: figures.energy_max_abs_error?,
-            kinetic: figures.kinetic_max?,
+            kinetic: if is_driven { kinetic.max(change) } else { kinetic },
+            is_driven,
         })
     }
 
@@ -383,7 +387,7 @@ impl EnergySeen {
         // One that begins and ends at rest has moved between.
         let potential = (last.potential - first.potential).abs();
         let kinetic = first.kinetic.max(last.kinetic).max(potential);
-        Self { initial: first.total(), error, kinetic }
+        Self { initial: first.total(), error, kinetic, is_driven: false }
     }
 
     /// Returns the energy at the start and at the end alone, where the energy that a driven body
@@ -401,8 +405,9 @@ impl EnergySeen {
         };
         let moved = first.kinetic.max(last.kinetic).max(torque(start)).max(torque(end));
         let change = (last.total() - first.total()).abs();
-        let error = if body.is_driven() { 0.0 } else { change };
-        Self { initial: first.total(), error, kinetic: moved }
+        let is_driven = body.is_driven();
+        let error = if is_driven { 0.0 } else { change };
+        Self { initial: first.total(), error, kinetic: moved, is_driven }
     }
 }
 
@@ -411,7 +416,7 @@ impl EnergySeen {
 pub(super) fn warning(seen: EnergySeen) -> Option<String> {
     /// At rest nothing moves, and the round-off of the potential is no loss.
     const ROUND_OFF: f64 = 1e-9;
-    let EnergySeen { initial, error, kinetic } = seen;
+    let EnergySeen { initial, error, kinetic, .. } = seen;
     let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * initial.abs();
     lost.then(|| {
         format!(

@@ -278,24 +278,25 @@ fn angles<const N: usize>(pointer: &str, name: &str, given: [Option<[f64; N]>; 2
 /// Checks the inertia at `at`.
 pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
     const RANGE: (f64, f64) = (1e-12, 1e12);
+    const SCALE: &str = "divide all moments, momenta, torques and strengths by one number: the motion stays the same";
+    let moment = |pointer: String, x: f64| {
+        ensure(x >= RANGE.0 && x <= RANGE.1, pointer, || {
+            format!(
+                "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2; {SCALE}",
+                RANGE.0, RANGE.1
+            )
+        })
+    };
     match given {
-        Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
-            ensure(x >= RANGE.0 && x <= RANGE.1, format!("{at}/principal/{i}"), || {
-                let scale = if x > RANGE.1 {
-                    "; divide all moments, momenta, torques and strengths by one number: the motion stays the same"
-                } else {
-                    ""
-                };
-                format!(
-                    "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2{scale}",
-                    RANGE.0, RANGE.1
-                )
-            })
-        }),
+        Inertia::Principal(moments) => moments
+            .iter()
+            .enumerate()
+            .try_for_each(|(i, &x)| moment(format!("{at}/principal/{i}"), x)),
         Inertia::Matrix(rows) => {
             let pointer = format!("{at}/matrix");
             matrix(&pointer, rows, 3)?;
-            symmetry(&pointer, rows, 1.0, "symmetric")
+            symmetry(&pointer, rows, 1.0, "symmetric")?;
+            (0..3).try_for_each(|i| moment(format!("{pointer}/{i}/{i}"), rows[i][i]))
         }
         Inertia::SecondMoments(moments) => {
             let pointer = format!("{at}/second_moments");
@@ -311,7 +312,7 @@ pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
                     let sum = moments[i] + moments[j];
                     ensure(sum >= RANGE.0 && sum <= RANGE.1, format!("{pointer}/{j}"), || {
                         format!(
-                            "d_{i} + d_{j} = {sum:e}; the sum of any two must be from {:e} to {:e}",
+                            "d_{i} + d_{j} = {sum:e}; the sum of any two must be from {:e} to {:e}; {SCALE}",
                             RANGE.0, RANGE.1
                         )
                     })?;

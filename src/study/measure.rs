@@ -23,7 +23,7 @@ use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat};
 use crate::solve::state::{Checkpoint, State};
 use crate::solve::stepper::{Knots, Stepper};
-use crate::solve::system::System;
+use crate::solve::system::{Energy, System};
 use crate::solve::trajectory::{
     self, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
 };
@@ -229,10 +229,40 @@ pub(crate) struct Measured {
     pub(crate) fastest_rad_s: f64,
     /// The number of that sample.
     pub(crate) fastest_sample: usize,
-    pub(crate) largest_kinetic: f64,
+    pub(crate) energies: Energies,
     pub(crate) sizes: Sizes,
     /// The shortest step in parts of the longest, where they adapt.
     pub(crate) least_sigma: Option<f64>,
+}
+
+/// The energies of a run.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Energies {
+    first: Option<Energy>,
+    largest_kinetic: f64,
+    largest_potential: f64,
+    largest_change: f64,
+}
+
+impl Energies {
+    fn take(&mut self, energy: Energy) {
+        let first = self.first.get_or_insert(energy);
+        self.largest_change = self.largest_change.max((energy.potential - first.potential).abs());
+        self.largest_kinetic = self.largest_kinetic.max(energy.kinetic);
+        self.largest_potential = self.largest_potential.max(energy.potential.abs());
+    }
+
+    /// Largest kinetic energy, and no less than the rounding errors of the potential.
+    pub(crate) fn kinetic(&self) -> f64 {
+        /// A few roundings, in parts of 1e-6.
+        const ROUNDING: f64 = 1e-8;
+        self.largest_kinetic.max(ROUNDING * self.largest_potential)
+    }
+
+    /// The energy that moved: that of a body at rest in a field that changes is the field's.
+    pub(crate) fn moved(&self) -> f64 {
+        self.kinetic().max(self.largest_change)
+    }
 }
 
 impl Measured {
@@ -398,7 +428,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         points: Vec::new(),
         series: Vec::new(),
         fastest: (0.0, 0),
-        kinetic: 0.0,
+        energies: Energies::default(),
         momentum: 0.0,
         least_sigma: None,
     };
@@ -414,7 +444,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         |_| !blown.get() && !watch.is_cancelled(),
     );
     let Ok(Trajectory { ending, reached, .. }) = trajectory;
-    let Gauge { points, series, fastest, kinetic, momentum, least_sigma, .. } = gauge;
+    let Gauge { points, series, fastest, energies, momentum, least_sigma, .. } = gauge;
     let State { attitude, momentum: last } = reached.state();
     Measured {
         end: End::of(ending, blown.get()),
@@ -431,7 +461,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         cost_ns: 0.0,
         fastest_rad_s: fastest.0,
         fastest_sample: fastest.1,
-        largest_kinetic: kinetic,
+        energies,
         sizes: Sizes { momentum, ..Sizes::default() },
         least_sigma,
     }
@@ -446,7 +476,7 @@ struct Gauge<'a> {
     series: Vec<(f64, f64, f64)>,
     /// Largest velocity, and the number of the sample.
     fastest: (f64, usize),
-    kinetic: f64,
+    energies: Energies,
     momentum: f64,
     least_sigma: Option<f64>,
 }
@@ -469,7 +499,9 @@ impl<const N: usize> Sink<N> for Gauge<'_> {
             self.least_sigma = Some(least.min(pace.least_sigma));
         }
         self.momentum = self.momentum.max(size(&sample.momentum));
-        self.kinetic = self.kinetic.max(sample.energy.map_or(0.0, |energy| energy.kinetic));
+        if let Some(energy) = sample.energy {
+            self.energies.take(energy);
+        }
         if self.keep {
             self.points.push(Point::of(&attitude, &sample.momentum));
         }

@@ -144,8 +144,9 @@ fn scales<const N: usize, Y: System<N> + ?Sized>(
         let probe = Probe { every: 1, ..Probe::of(exact, step_s, steps) };
         let run = OfSystem { question, exact }.run(probe, watch)?;
         watch.advance(0)?;
-        let kinetic = run.largest_kinetic.max(at_start);
-        if run.completed() && run.energy_error() <= KEPT * kinetic {
+        let kinetic = run.energies.kinetic().max(at_start);
+        let moved = run.energies.moved().max(kinetic);
+        if run.completed() && run.energy_error() <= KEPT * moved {
             let named = (run.fastest_rad_s > 0.0).then_some(run.fastest_rad_s);
             return Ok(Scales {
                 fastest_rad_s: named.unwrap_or(first_steps as f64 / time_s),

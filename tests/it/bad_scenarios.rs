@@ -215,6 +215,10 @@ pub(crate) fn table() -> Vec<Bad> {
     );
     add(with(full(), "/scene/inertia", "{}"), "/scene/inertia");
     add(with(full(), "/scene/inertia", r#"{"principal":[1,1,1],"matrix":[]}"#), "/scene/inertia");
+    add(
+        with(full(), "/scene/inertia", r#"{"matrix":[[1,0,0],[0,1e13,0],[0,0,1e13]]}"#),
+        "/scene/inertia/matrix/1/1",
+    );
     add(with(full(), "/scene/inertia", r#"{"moments":[1,1,1]}"#), "/scene/inertia");
     for n in [17, 31, 33] {
         add(

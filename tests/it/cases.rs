@@ -49,6 +49,37 @@ fn bodies_at_rest_set_off_or_stay() {
     assert!((momentum(&summary)[2] + 1e-10).abs() < 1e-15, "{:?}", summary.last);
 }
 
+/// The energy of a body at rest, or nearly, is rounding or the field's: neither keeps an accuracy from being reached, and a run that stays
+/// at rest has lost nothing.
+#[test]
+fn accuracies_are_reached_next_to_rest_in_fields() {
+    let with_accuracy = |scene: &Value, error: f64| json!({ "name": "rest", "scene": scene, "duration_s": 10, "accuracy": { "error": error } });
+    // A pendulum that hangs: its angle is tilt cos(sqrt(w r / J) t), to the third order in the tilt.
+    for tilt in [1e-6, 1.00001e-6, 1e-4] {
+        let scene = json!({
+            "inertia": { "principal": [0.02, 0.02, 0.01] },
+            "potential": [{ "kind": "uniform", "weight": 4.905, "body_point": [0, 0, -0.1], "direction": [0, 0, 1] }],
+            "initial": { "attitude": { "axis_angle": { "axis": [1, 0, 0], "angle_rad": tilt } } },
+        });
+        let summary = ended(&with_accuracy(&scene, 1e-6).to_string());
+        let angle = summary.last.attitude.expect("of one body")[2][1];
+        let right = tilt * libm::cos((4.905_f64 * 0.1 / 0.02).sqrt() * 10.0);
+        assert!((angle - right).abs() < 1e-6, "{tilt}: {angle} for {right}");
+    }
+    // Fields along the arm, which push nothing, whatever their factor.
+    let table = json!({ "table": { "times_s": [0, 5, 10], "values": [0, 1, 0] } });
+    let harmonic = json!({ "harmonic": { "mean": 0, "amplitude": 1, "rate_rad_s": 1 } });
+    for factor in [table, harmonic] {
+        let term = json!({ "kind": "uniform", "weight": 1, "body_point": [1, 0, 0], "direction": [1, 0, 0] });
+        let scene = json!({ "inertia": { "principal": [1, 2, 3] }, "driven": [{ "term": term, "factor": factor }] });
+        let mut document = with_accuracy(&scene, 1e-8);
+        assert_eq!(momentum(&ended(&document.to_string())), [0.0; 3], "{factor}");
+        document.as_object_mut().expect("an object").remove("accuracy");
+        document["step_s"] = json!(0.1);
+        assert_eq!(ended(&document.to_string()).warning, None, "{factor}");
+    }
+}
+
 /// Motions that torques damp much faster than the body turns: implicit methods hardly damp in steps that pass over it.
 #[test]
 fn accuracies_see_what_damps_faster_than_it_turns() {

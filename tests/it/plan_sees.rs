@@ -556,3 +556,29 @@ fn the_plan_warns_of_coefficients_of_a_low_order() {
     assert!(warned(radau(0.45), json!([0.25, 0.75])));
     assert!(!warned(json!([[0.5]]), json!([1])));
 }
+
+/// Degrees in a field of radians: a quarter of a turn becomes fourteen turns, and the plan says so.
+#[test]
+fn the_plan_warns_of_angles_of_more_than_a_turn() {
+    let warned = |attitude: Value| {
+        let mut scenario: Value =
+            serde_json::from_str(include_str!("../../scenarios/heavy-top.json")).expect("JSON");
+        scenario["scene"]["initial"]["attitude"] = attitude;
+        let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        let warnings = Plan::new(&scenario).expect("a plan").warnings;
+        warnings.iter().any(|warning| warning.contains("14.3 turns"))
+    };
+    let about = |field: &str| json!({ "axis_angle": { "axis": [1, 0, 0], field: 90 } });
+    assert!(warned(about("angle_rad")));
+    assert!(!warned(about("angle_deg")));
+    assert!(warned(json!({ "roll_pitch_yaw": { "angles_rad": [0, -90, 1] } })));
+    assert!(!warned(json!({ "euler": { "sequence": "zxz", "angles_rad": [0.5, -3, 6.2] } })));
+
+    let mut pair: Value =
+        serde_json::from_str(include_str!("../../scenarios/tether.json")).expect("JSON");
+    pair["scene"]["bodies"][1]["initial"]["attitude"] = about("angle_rad");
+    let scenario = Scenario::from_json(pair.to_string().as_bytes()).expect("good");
+    let warnings = Plan::new(&scenario).expect("a plan").warnings;
+    let name = pair["scene"]["bodies"][1]["name"].as_str().expect("a name");
+    assert!(warnings.iter().any(|warning| warning.contains(name)), "{warnings:?}");
+}

@@ -83,7 +83,7 @@ def found(arrays: Mapping[str, NDArray[Any]], column: str, channel: str) -> NDAr
         of_bodies = [name for name in arrays if name.endswith(f"_{column}")]
         if of_bodies:
             named = ", ".join(f'run.columns["{name}"]' for name in of_bodies[:4])
-            raise Absent(f"the run has a {column} of each body: {named}") from None
+            raise Absent(f"the run has one {column} of each body: {named}") from None
         raise Absent(
             f"the run has no {column}: {channel} is not among its channels (/log/channels), or the scene has none"
         ) from None

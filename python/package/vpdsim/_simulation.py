@@ -51,6 +51,9 @@ class Simulation(_native.Simulation):
         RunFailed: from `advance`, a step could not be made.
     """
 
+    # A misspelt attribute is an error.
+    __slots__ = ()
+
     def __new__(
         cls,
         scene: Scene,

@@ -1,4 +1,4 @@
-//! The equations of a step of up to eight bodies, side by side in lanes; each operation carries its tag of
+//! The equations of a step of up to eight bodies, side by side in lanes; operations carry the tags of
 //! docs/derivation.md, where the equations of one body are derived. Bodies know nothing of each other here: velocities of
 //! bodies in joints, and all torques, come from outside.
 //!

@@ -426,7 +426,6 @@ impl<const N: usize> GalerkinStep<N> {
         &self.solution
     }
 
-    /// Was the step before solved by sweeps, and not as collocation with a deferred defect?
     /// Returns where the solution is stored.
     fn solution_ref(&self) -> SolutionRef<'_> {
         match (self.solution.by, &self.collocation, &self.in_vectors) {

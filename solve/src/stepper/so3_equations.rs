@@ -1,5 +1,5 @@
-//! Operations of a VPD step for n = 3 in vectors and quaternions, for all stages in lanes; each carries its tag of
-//! docs/derivation.md.
+//! Operations of a VPD step for n = 3 in vectors and quaternions, for all stages in lanes; those of a tagged
+//! line of docs/derivation.md carry its tag.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Real, Row, StageScalar, WIDTH};

@@ -1,5 +1,5 @@
 //! VPD in Hamiltonian form, with steps of one length in a time of its own that slows down near the points of the potential:
-//! the map of [`super::vpd`] for the Hamiltonian K of [`crate::hamiltonian::Rescaled`].
+//! the map of [`super::vpd`] for the Hamiltonian H~ of [`crate::hamiltonian::Rescaled`].
 //!
 //! H0 is the energy at the start of the trajectory, wherever it is resumed.
 //!

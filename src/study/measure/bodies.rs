@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::DMatrix;
 
-use super::{Begin, End, HARDLY, LEAST_NS, Measured, Point, Probe, Sizes, size};
+use super::{Begin, End, Energies, HARDLY, LEAST_NS, Measured, Point, Probe, Sizes, size};
 use crate::assemble::{BodiesAssembly, BodiesTask, assembled_bodies};
 use crate::plan::Plan;
 use crate::scenario::Ensemble;
@@ -82,7 +82,7 @@ impl BodiesTask for Measurement<'_> {
             points: Vec::new(),
             series: Vec::new(),
             fastest: (0.0, 0),
-            kinetic: 0.0,
+            energies: Energies::default(),
             sizes: Sizes::default(),
             begun: Vec::new(),
             pushes: Vec::new(),
@@ -95,7 +95,7 @@ impl BodiesTask for Measurement<'_> {
         let Ok(Trajectory { ending, reached, .. }) = end;
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let seen = bodies.seen(&last).unwrap_or_default();
-        let Gauge { points, series, fastest, kinetic, sizes, pushes, .. } = gauge;
+        let Gauge { points, series, fastest, energies, sizes, pushes, .. } = gauge;
         let pushed = pushes.iter().map(|push| push.change_n / push.momentum);
         let moved_rad_s = pushed.filter(|rate| rate.is_finite()).fold(0.0, f64::max);
         let work = bodies.work();
@@ -114,7 +114,7 @@ impl BodiesTask for Measurement<'_> {
             cost_ns: 0.0,
             fastest_rad_s: fastest.0.max(moved_rad_s),
             fastest_sample: fastest.1,
-            largest_kinetic: kinetic,
+            energies,
             sizes: at_least(sizes, &bodies, &initial, step_s * steps as f64),
             least_sigma: None,
         }
@@ -160,7 +160,7 @@ struct Gauge<'a, const N: usize> {
     series: Vec<(f64, f64, f64)>,
     /// Largest angular velocity, and the number of the sample.
     fastest: (f64, usize),
-    kinetic: f64,
+    energies: Energies,
     sizes: Sizes,
     /// Where each body began.
     begun: Vec<Vector<N>>,
@@ -176,7 +176,9 @@ impl<const N: usize> Sink<N> for Gauge<'_, N> {
         let orthogonality = sample.orthogonality_error.unwrap_or_default();
         self.series.push((sample.time_s, energy_error, orthogonality));
         self.blown.set(self.blown.get() || energy_error.abs() > self.energy_limit);
-        self.kinetic = self.kinetic.max(sample.energy.map_or(0.0, |energy| energy.kinetic));
+        if let Some(energy) = sample.energy {
+            self.energies.take(energy);
+        }
         if self.begun.is_empty() {
             self.begun = sample.bodies.iter().map(|body| body.position).collect();
             self.pushes = vec![Push::default(); sample.bodies.len()];

@@ -57,6 +57,41 @@ fn a_service_whose_data_directory_is_renamed_writes_nowhere_else_and_goes_on_whe
     assert!(service.terminate().0.success());
 }
 
+/// The directory goes away between a run's last step and its result, while the log is read through.
+#[test]
+fn a_result_that_is_not_published_yet_when_the_data_directory_is_renamed_is_when_it_is_back() {
+    const TRIES: usize = 10;
+    let folder = tempfile::tempdir().expect("a folder");
+    let service = Service::start(folder.path(), &["--workers", "1"]);
+    let scenario = dipole(1_000_000);
+    let [name, elsewhere] = ["data", "elsewhere"].map(|name| folder.path().join(name));
+    let met = (0..TRIES).any(|_| {
+        let id = service.submit(&scenario);
+        loop {
+            let job = service.job(&id);
+            let is_made = job["progress"]["steps_done"] == job["progress"]["steps"];
+            if is_made || job["state"] == "succeeded" {
+                break;
+            }
+        }
+        fs::rename(&name, &elsewhere).expect("renamed");
+        let begun = Instant::now();
+        let job = loop {
+            let job = service.job(&id);
+            if job["state"] != "running" {
+                break job;
+            }
+            assert!(begun.elapsed() < PATIENCE, "{job}");
+            std::thread::sleep(Duration::from_millis(1));
+        };
+        fs::rename(&elsewhere, &name).expect("renamed");
+        assert_eq!(service.ended(&id)["state"], "succeeded", "{job}");
+        job["trouble"]["code"] == "storage_moved"
+    });
+    assert!(met, "{TRIES} results were published before the directory went away");
+    assert!(service.terminate().0.success());
+}
+
 /// A name that is no directory is refused, with the cause, and not waited for.
 #[cfg(unix)]
 #[test]

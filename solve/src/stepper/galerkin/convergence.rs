@@ -1,5 +1,5 @@
-//! When the solvers of a VPD step stop: their tuned constants, each with what it moves, the convergence of an iteration, and
-//! how a solve ends.
+//! When the collocation of a VPD step in matrices and in vectors stops: its tuned constants, each with what it moves, the
+//! convergence of an iteration, and how a solve ends.
 
 use crate::failure::Failure;
 use crate::hamiltonian::CLOSEST_APPROACH;

@@ -48,7 +48,7 @@ use crate::work;
 
 /// A system as the step sees it.
 pub(super) enum SystemView<'a> {
-    /// A rigid body in principal axes and a potential of built-in terms.
+    /// A rigid body and a potential of built-in terms.
     Body {
         velocity: Velocity<'a>,
         terms: &'a dyn Terms,

@@ -2,7 +2,7 @@
 //! of [`super`]: for tableaux that are not symplectic by themselves, and where the collocation with a
 //! deferred defect does not converge.
 //!
-//! Invariant: a sweep computes each unknown from the newest of the others, once.
+//! Invariant: a sweep computes each unknown from the newest of the others.
 
 use super::Dynamics;
 use crate::failure::{Failure, FailureCode};

@@ -2,7 +2,7 @@
 //! lanes; for symplectic tableaux.
 //!
 //! With the symbols of [`super::sweep`], `e_kj + e_jk = 1`, `D_k = sum_j e_kj w_j`, `K_k = D_k - C_k` and `T_k = U_k hat(x_k)`,
-//! the equations of the step are (docs/derivation.md, section 4)
+//! the equations of the step are ([body] in docs/derivation.md, section 6)
 //!
 //! ```text
 //! mu_k = p0 + sum_j e_kj h b_j (mu_j x Omega_j - tau_j) + delta_k
@@ -161,7 +161,7 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
     }
 
     #[inline(always)]
-    fn look<const EXTRAS: u8>(&mut self) {
+    fn evaluate_torque<const EXTRAS: u8>(&mut self) {
         let (u, mu) = (self.u.matrix(), self.mu);
         (self.tau, self.proximity) =
             torque_in_body::<R, EXTRAS>(self.start, &u, &self.inertia, &mu);
@@ -185,7 +185,7 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
         [momenta, turns]
     }
 
-    /// Makes a round over S of many stages.
+    /// Makes a round over S in the limit of many stages.
     #[inline(always)]
     fn round_of_s<const EXTRAS: u8>(&mut self) {
         let (mu, s, omega) = (&self.mu, &self.s, self.velocity::<EXTRAS>(&self.mu));
@@ -214,7 +214,7 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
     ) -> [Vec3<R>; 2] {
         let TableauInLanes { columns, rows, .. } = &self.start.plan.tableau;
         let turning = self.turning;
-        // theta: a correction towards the polar factor of I + D.
+        // [body] theta: a correction towards the polar factor of I + D.
         let u = self.u.lengthened_by_w();
         let w = times_hat(&u.matrix(), &turning);
         let d = applied_to_matrix(&w, columns);
@@ -249,7 +249,7 @@ impl<R: StageScalar<StepScalar = f64>> Iterate<'_, R> {
         let load: Vec3<R> =
             vec3!(i => (stretched[i] - trace * turning[i]) + (turned_out[i] * 0.5 - self.push[i]));
         self.x = over_q(&self.inverse_q, &load);
-        // delta, and the S that belongs to it.
+        // [body] delta, and the S that belongs to it.
         let c = polar.change();
         let u = with_one(&c);
         let k: Mat3<R> = vec3!(i => minus(&d[i], &c[i]));
@@ -354,7 +354,7 @@ pub(super) fn solve<R: StageScalar<StepScalar = f64>, const EXTRAS: u8>(
     let mut size = 1.0;
     loop {
         // A block.
-        at.look::<EXTRAS>();
+        at.evaluate_torque::<EXTRAS>();
         done.torques += 1;
         let [momenta, turns] = at.round::<EXTRAS>();
         for _ in 1..ROUNDS {

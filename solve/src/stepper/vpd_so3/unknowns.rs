@@ -127,7 +127,7 @@ pub(super) struct Unknowns<S, P> {
     pub(super) x: Vec3<S>,
     /// f.
     pub(super) end: Quaternion<P>,
-    /// Q(P_k)^-1.
+    /// `Q(P_k)^-1 - I / 2`.
     pub(super) inverse: Sym3<S>,
     /// E_k = P_k - I.
     pub(super) stretch: Sym3<S>,

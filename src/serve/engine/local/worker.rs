@@ -215,7 +215,13 @@ impl Shared {
                 self.record(turn, Err((State::Failed, Some(&Fault::panicked()))))
             }
         };
-        let record = match record.map(|record| self.publish(turn, record)) {
+        let published = record.map(|record| self.publish(turn, record));
+        // Nor is what publishing met there.
+        let published = published.map(|published| match published {
+            Err(Broken::Stopped) | Ok(_) => published,
+            broken => self.store.check().map_err(Broken::from).and(broken),
+        });
+        let record = match published {
             Some(Ok(record)) => record,
             None | Some(Err(Broken::Stopped)) => return self.hand_back(turn),
             Some(Err(Broken::Trouble(trouble))) => return self.rest(turn, trouble),
