@@ -1,5 +1,5 @@
 //! VPD for several bodies with steps of one length in a time of its own that slows down where points of theirs come close: the
-//! map of [`super::vpd`] for bodies in a rescaled time (`rescaled.rs`), in the steps of [`crate::stepper::own_steps`]. H0 is the
+//! map of [`super::vpd`] for bodies in a rescaled time (`rescaled.rs`), in the steps of `stepper/own_steps.rs`. H0 is the
 //! energy at the start of the trajectory, wherever it is resumed.
 //!
 //! Invariant: that of its own steps.

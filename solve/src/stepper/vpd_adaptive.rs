@@ -3,7 +3,7 @@
 //!
 //! H0 is the energy at the start of the trajectory, wherever it is resumed.
 //!
-//! Invariant: that of its own steps ([`super::own_steps`]).
+//! Invariant: that of its own steps (`own_steps.rs`).
 
 use super::Stepper;
 use super::galerkin::{Length, Motion, StepperState};
