@@ -11,7 +11,8 @@ use super::process::{PATIENCE, Service};
 fn a_service_whose_data_directory_is_renamed_writes_nowhere_else_and_goes_on_when_it_is_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let service = Service::start(folder.path(), &["--workers", "1"]);
-    let scenario = dipole(100_000);
+    // Long enough to be still running when the directory goes away, on a machine under load, too.
+    let scenario = dipole(500_000);
     let digest = service.reference(&scenario);
     let (running, waiting) = (service.submit(&scenario), service.submit(&scenario));
     let cancelled = service.submit(&scenario);
