@@ -281,8 +281,9 @@ pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
     const SCALE: &str = "divide all moments, momenta, torques and strengths by one number: the motion stays the same";
     let moment = |pointer: String, x: f64| {
         ensure(x >= RANGE.0 && x <= RANGE.1, pointer, || {
+            let scale = if x > 0.0 { format!("; {SCALE}") } else { String::new() };
             format!(
-                "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2; {SCALE}",
+                "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2{scale}",
                 RANGE.0, RANGE.1
             )
         })
