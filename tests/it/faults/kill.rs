@@ -283,7 +283,8 @@ fn a_job_whose_log_can_have_no_end_is_abandoned_without() {
 fn a_job_that_is_abandoned_keeps_the_chunks_it_had() {
     let folder = tempfile::tempdir().expect("a folder");
     let Some(mut faults) = Faults::new(folder.path()) else { return };
-    let scenario = dipole(200_000);
+    // Long enough to be still running when it is killed, on a machine under load, too.
+    let scenario = dipole(600_000);
     let service = Service::start(folder.path(), &["--workers", "1"]);
     let whole = service.submit(&scenario);
     assert_eq!(service.ended(&whole)["state"], "succeeded");
