@@ -216,7 +216,7 @@ impl Shared {
             }
         };
         let published = record.map(|record| self.publish(turn, record));
-        // Nor is what publishing met there.
+        // What publishing met in a directory that is not there any more is no fault of the job.
         let published = published.map(|published| match published {
             Err(Broken::Stopped) | Ok(_) => published,
             broken => self.store.check().map_err(Broken::from).and(broken),
